@@ -1,0 +1,96 @@
+"""Depth fields: how deep a point lies inside a body, on a regular lattice of samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+OUTSIDE = np.float32(-1.0)  # depth far outside [m]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Field:
+    """Signed depth phi on a lattice, positive inside, about metric near the surface (|grad phi| = 1).
+
+    Attributes:
+        values: phi [m], shape (nx, ny, nz), f4.
+        corner: lattice index of `values[0, 0, 0]`; sample (i, j, k) lies at (corner + (i, j, k)) * spacing in the
+            design frame, so all fields of a blueprint share one lattice.
+        spacing: distance between samples [m].
+    """
+
+    values: NDArray[np.float32]
+    corner: tuple[int, int, int]
+    spacing: float
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """Position of sample (0, 0, 0) in the design frame [m]."""
+        return np.asarray(self.corner, np.float64) * self.spacing
+
+    def points(self) -> NDArray[np.float64]:
+        """Positions of all samples in the design frame [m], (nx, ny, nz, 3)."""
+        axes = [self.origin[a] + np.arange(n) * self.spacing for a, n in enumerate(self.values.shape)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+    def sample(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Depth at points (..., 3) of the design frame [m], trilinear; `OUTSIDE` beyond the lattice."""
+        index = np.moveaxis((points - self.origin) / self.spacing, -1, 0)
+        return ndimage.map_coordinates(self.values, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
+
+    def volume(self) -> float:
+        """Volume of phi > 0 with fractional cells at the surface [m3]."""
+        return float(coverage(self.values, self.spacing).sum(dtype=np.float64)) * self.spacing**3
+
+    def centroid(self) -> NDArray[np.float64]:
+        """Centre of volume in the design frame [m], (3,)."""
+        weight = coverage(self.values, self.spacing).astype(np.float64)
+        total = weight.sum()
+        means = [(weight.sum(axis=tuple(b for b in range(3) if b != a)) * np.arange(n)).sum() / total
+                 for a, n in enumerate(weight.shape)]  # fmt: skip
+        return self.origin + np.asarray(means) * self.spacing
+
+    def with_values(self, values: NDArray[np.float32]) -> Field:
+        """A field on the same samples."""
+        return Field(np.ascontiguousarray(values, np.float32), self.corner, self.spacing)
+
+    def cut(self, other: NDArray[np.float32], gap: float = 0.0) -> Field:
+        """Remove where `other` (depths on the same samples) exceeds -gap."""
+        return self.with_values(np.minimum(self.values, -other - np.float32(gap)))
+
+    def on_lattice_of(self, other: Field) -> NDArray[np.float32]:
+        """This field's values at the samples of `other` (same spacing), `OUTSIDE` where it has none."""
+        out = np.full(other.values.shape, OUTSIDE, np.float32)
+        shift = np.subtract(self.corner, other.corner)
+        low = np.maximum(shift, 0)
+        high = np.minimum(shift + self.values.shape, other.values.shape)
+        if (high > low).all():
+            there = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+            here = tuple(slice(a, b) for a, b in zip(low - shift, high - shift, strict=True))
+            out[there] = self.values[here]
+        return out
+
+
+def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:
+    """Share of a cell of the given width that lies inside, from the depth at its centre."""
+    return np.clip(depth / np.float32(width) + np.float32(0.5), 0.0, 1.0)
+
+
+def cylinder_depth(
+    points: NDArray[np.float64], centre: NDArray[np.float64], axis: NDArray[np.float64], radius: float,
+    low: float, high: float,
+) -> NDArray[np.float32]:  # fmt: skip
+    """Depth inside a cylinder about `axis` through `centre`, between heights low and high along it [m]."""
+    offset = points - centre
+    along = offset @ axis
+    radial = np.linalg.norm(offset - along[..., None] * axis, axis=-1)
+    return np.minimum(radius - radial, np.minimum(along - low, high - along)).astype(np.float32)
+
+
+def box_depth(points: NDArray[np.float64], T_design_box: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Depth inside a box of the given half extents in its own frame [m] (Chebyshev inside, so exact on faces)."""
+    local = (points - T_design_box[:3, 3]) @ T_design_box[:3, :3]
+    return (half - np.abs(local)).min(axis=-1).astype(np.float32)
