@@ -1,0 +1,219 @@
+"""The parametric motor mount: a holder around the housing and a connector on the output face.
+
+Everything is round about the hinge axis, so the room that one side must leave for the other is a plain cylinder
+whatever the joint angle. Frame of this file: the motor frame, origin at the housing's centre, z along the hinge axis
+towards the output face.
+
+      z                    r = 0         cavity   holder   connector
+    connector_high  +-----------------------------------------+
+                    |        disc, screwed to the output      |
+    connector_low   +-------------------------+---------------+   = housing_high
+    holder_top      |                         |  wall  |
+                    |     motor housing       |  (cup) |
+    housing_low     +-------------------------+        |
+    base_low        +--- base plate, screws, bore -----+
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.catalogue import Motor, ScrewPattern
+from mfg.solids import Solid, cylinder, tube, union
+
+FIT = 4e-4  # radial gap between housing and cup, a sliding fit in PLA [m]
+WALL = 7.5e-3  # of the cup [m]
+BASE = 6e-3  # thickness of the base plate [m]
+DISC = 14e-3  # thickness of the connector [m]
+RIM = 9.5e-3  # how far the connector reaches beyond the housing [m]
+GAP = 1.0e-3  # running gap between parts that move against each other [m]
+BORE = 9e-3  # radius of the cable bore in the base plate [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Radii and heights of the mount of one motor [m], motor frame."""
+
+    motor: Motor
+    housing_radius: float
+    housing_low: float
+    housing_high: float
+    cavity_radius: float
+    holder_radius: float
+    base_low: float
+    holder_top: float
+    connector_radius: float
+    connector_low: float
+    connector_high: float
+    clearance: float
+
+    @property
+    def envelope_radius(self) -> float:
+        """Radius that nothing else may enter, without the running gap."""
+        return max(self.holder_radius, self.connector_radius)
+
+    @property
+    def attach_radius(self) -> float:
+        """Radius of the cylinder that the bone processor cuts: the mount and the bone fuse outside it."""
+        return self.cavity_radius
+
+
+def mount_of(motor: Motor) -> Mount:
+    """Size the mount of a motor."""
+    radius, half = motor.diameter / 2, motor.length / 2
+    return Mount(
+        motor=motor,
+        housing_radius=radius,
+        housing_low=-half,
+        housing_high=half,
+        cavity_radius=radius + FIT,
+        holder_radius=radius + FIT + WALL,
+        base_low=-half - BASE,
+        holder_top=half - GAP,
+        connector_radius=radius + FIT + RIM,
+        connector_low=half,
+        connector_high=half + DISC,
+        clearance=GAP,
+    )
+
+
+@lru_cache(maxsize=8)
+def housing(mount: Mount) -> Solid:
+    """The motor itself."""
+    return cylinder(mount.housing_radius, mount.housing_low, mount.housing_high)
+
+
+@lru_cache(maxsize=8)
+def holder(mount: Mount) -> Solid:
+    """The cup around the housing, with screw holes and a cable bore in its base plate."""
+    cup = tube(mount.holder_radius, mount.cavity_radius, mount.housing_low, mount.holder_top)
+    base = cylinder(mount.holder_radius, mount.base_low, mount.housing_low + 1e-6)
+    bore = cylinder(BORE, mount.base_low - GAP, mount.housing_low + GAP)
+    holes = screw_holes(mount.motor.body_screws, mount.base_low - GAP, mount.housing_low + GAP)
+    return (cup + base).minus([bore, *holes])
+
+
+@lru_cache(maxsize=8)
+def connector(mount: Mount) -> Solid:
+    """The disc on the output face, with counterbored screw holes."""
+    pattern = mount.motor.output_screws
+    heads = _ring(pattern, pattern.head_diameter / 2, mount.connector_low + 6e-3, mount.connector_high + GAP)
+    holes = screw_holes(pattern, mount.connector_low - GAP, mount.connector_high + GAP)
+    return cylinder(mount.connector_radius, mount.connector_low, mount.connector_high).minus([*holes, *heads])
+
+
+@lru_cache(maxsize=8)
+def holder_keepout(mount: Mount, reach: float = 0.0) -> Solid:
+    """What the connector's body must leave free: the holder with its running gap, and access to the base screws.
+
+    Args:
+        mount: the mount.
+        reach: how far below the base plate the screwdriver must have free access [m].
+    """
+    room = cylinder(mount.holder_radius + mount.clearance, mount.base_low - mount.clearance, mount.connector_low)
+    return room if reach <= 0 else room + cylinder(mount.cavity_radius, mount.base_low - reach, mount.housing_low)
+
+
+@lru_cache(maxsize=8)
+def connector_keepout(mount: Mount, reach: float = 0.0) -> Solid:
+    """What the holder's body must leave free: the turning connector, and the shaft by which the motor is inserted.
+
+    Args:
+        mount: the mount.
+        reach: length of the insertion shaft above the connector [m].
+    """
+    room = cylinder(
+        mount.connector_radius + mount.clearance, mount.holder_top, mount.connector_high + mount.clearance
+    )
+    return room if reach <= 0 else room + cylinder(mount.cavity_radius, mount.holder_top, mount.connector_high + reach)
+
+
+@lru_cache(maxsize=8)
+def cavity(mount: Mount) -> Solid:
+    """The hole that the housing slides into, from the base plate to the connector."""
+    return cylinder(mount.cavity_radius, mount.housing_low, mount.connector_low)
+
+
+@lru_cache(maxsize=8)
+def envelope(mount: Mount, gap: float = GAP) -> Solid:
+    """Holder, motor and connector as one round solid grown by `gap`: what any third body must leave free."""
+    low = cylinder(mount.holder_radius + gap, mount.base_low - gap, mount.connector_low + 1e-6)
+    return low + cylinder(mount.connector_radius + gap, mount.connector_low - gap, mount.connector_high + gap)
+
+
+def screw_holes(pattern: ScrewPattern, low: float, high: float) -> list[Solid]:
+    """Clearance holes of a screw pattern between two heights [m]."""
+    return _ring(pattern, pattern.hole_diameter / 2, low, high)
+
+
+def envelope_depth(
+    points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
+) -> NDArray[np.float32]:
+    """Depth inside the envelope grown by `gap`, at points (..., 3) of the design frame [m]."""
+    radial, along = _cylindrical(points, T_design_motor)
+    cup = np.minimum(mount.holder_radius - radial, np.minimum(along - mount.base_low, mount.connector_low - along))
+    disc = np.minimum(
+        mount.connector_radius - radial, np.minimum(along - mount.connector_low, mount.connector_high - along)
+    )
+    return (np.maximum(cup, disc) + gap).astype(np.float32)
+
+
+def holder_depth(
+    points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
+) -> NDArray[np.float32]:
+    """Depth inside the filled cup (housing included) grown by `gap`, at points of the design frame [m]."""
+    radial, along = _cylindrical(points, T_design_motor)
+    depth = np.minimum(mount.holder_radius - radial, np.minimum(along - mount.base_low, mount.connector_low - along))
+    return (depth + gap).astype(np.float32)
+
+
+def connector_depth(
+    points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
+) -> NDArray[np.float32]:
+    """Depth inside the connector disc grown by `gap`, at points of the design frame [m]."""
+    radial, along = _cylindrical(points, T_design_motor)
+    depth = np.minimum(
+        mount.connector_radius - radial, np.minimum(along - mount.connector_low, mount.connector_high - along)
+    )
+    return (depth + gap).astype(np.float32)
+
+
+def motor_pose(position: NDArray[np.float64], axis: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
+    """T_design_motor with z along `axis`, its origin at position + offset * axis, x chosen by a fixed rule."""
+    z = np.asarray(axis, np.float64)
+    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = helper - (helper @ z) * z
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, 0], T[:3, 1], T[:3, 2] = x, np.cross(z, x), z
+    T[:3, 3] = position + offset * z
+    return T
+
+
+def _cylindrical(
+    points: NDArray[np.float64], T_design_motor: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    offset = points - T_design_motor[:3, 3]
+    along = offset @ T_design_motor[:3, 2]
+    radial = np.sqrt(np.maximum((offset**2).sum(-1) - along**2, 0.0))
+    return radial, along
+
+
+def _ring(pattern: ScrewPattern, radius: float, low: float, high: float) -> list[Solid]:
+    holes = []
+    for k in range(pattern.count):
+        angle = 2 * math.pi * k / pattern.count
+        T = np.eye(4)
+        T[:2, 3] = pattern.circle_radius * math.cos(angle), pattern.circle_radius * math.sin(angle)
+        holes.append(cylinder(radius, low, high, 16).moved(T))
+    return holes
+
+
+def solid_volumes(mount: Mount) -> tuple[float, float]:
+    """Volumes of the holder and the connector [m3]: the most that either can overlap a bone."""
+    return union([holder(mount)]).volume, connector(mount).volume
