@@ -1,0 +1,125 @@
+"""The `bodyplan` command: find the command, run it, turn every expected trouble into one clear line."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import importlib.util
+import os
+import sqlite3
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from experiments.output import BAD_INPUT, INTERRUPTED, BadInput, say
+
+VERSION = "0.1.0"
+
+# In the order in which a new user meets them.
+COMMANDS = ("run", "sample", "build", "score", "study", "simulate", "deploy", "replay", "report", "doctor")
+
+# Workers are processes, one per core; a maths library that starts threads of its own makes all of them slower, and its
+# sums depend on the number of threads. Must be set before numpy is imported.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
+                    "NUMEXPR_NUM_THREADS")  # fmt: skip
+
+STORY = """\
+Evolve robots that can be built: a latent vector becomes a body, solvers put motors, electronics and wires into it or
+say why they cannot, a simulator lets it walk, evolution asks for more, and the winner leaves as a folder to print.
+
+a first session:
+  bodyplan sample -n 8 --out bodies            propose eight bodies and look at bodies/sheet.png
+  bodyplan score bodies/*.npz                  can each one be built, and how easily?
+  bodyplan build bodies/0.npz --out robot      the whole blueprint: parts to print, parts to buy, wiring, models
+  bodyplan simulate robot --video walk.mp4     find a gait and film it
+
+an experiment:
+  bodyplan run experiments/configs/quickstart.toml --out runs/first
+  bodyplan run experiments/configs/quickstart.toml --out runs/first --resume     after Ctrl-C or a crash
+  bodyplan report runs/first                   one HTML file about what happened
+  bodyplan deploy runs/first/best/policy --bus virtual --dry-run
+
+exit status: 0 done, 1 the design cannot be built, 2 bad input or configuration, 3 interrupted but resumable.
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the one line and leave with status 2."""
+        say(f"bodyplan: error: {message} (see `{self.prog} --help`)")
+        raise SystemExit(BAD_INPUT)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status."""
+    for variable in THREAD_VARIABLES:
+        os.environ.setdefault(variable, "1")
+    argv = list(sys.argv[1:] if argv is None else argv)
+    try:
+        args = _parse(argv)
+        status: int = args.main(args)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        say("bodyplan: interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output, `head` for example, has seen enough. Python would complain again while it closes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (ValueError, OSError, sqlite3.DatabaseError) as error:
+        if not _is_bad_input(error):
+            raise
+        say(f"bodyplan: error: {_one_line(error)}")
+        return BAD_INPUT
+    return status
+
+
+def _parse(argv: list[str]) -> argparse.Namespace:
+    parser = Parser(
+        prog="bodyplan", description=STORY, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    parser.add_argument("--version", action="version", version=f"bodyplan {VERSION}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    names = [name for name in COMMANDS if importlib.util.find_spec(f"experiments.{name}")]
+    if argv and not argv[0].startswith("-") and argv[0] not in names:
+        close = difflib.get_close_matches(argv[0], names, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
+        parser.error(f"unknown command {argv[0]!r}; {hint}")
+    for name in names:
+        module = importlib.import_module(f"experiments.{name}")
+        command = commands.add_parser(name, help=module.HELP, description=module.HELP, allow_abbrev=False)
+        module.configure(command)
+        command.set_defaults(main=module.main, parser=command)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:
+        known = [option for action in args.parser._actions for option in action.option_strings]
+        close = difflib.get_close_matches(unknown[0].partition("=")[0], known, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        args.parser.error(f"unknown argument {unknown[0]!r}{hint}")
+    return args
+
+
+def _is_bad_input(error: BaseException) -> bool:
+    """Tell what the user can mend from a defect of this program, which must show its traceback."""
+    if isinstance(error, (BadInput, OSError)):
+        return True
+    if isinstance(error, sqlite3.DatabaseError):
+        return not isinstance(error, (sqlite3.ProgrammingError, sqlite3.IntegrityError))
+    from decoder.design import DesignError
+    from sim.actor import BundleError
+
+    return isinstance(error, (DesignError, BundleError))
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        name = f"{error.filename}: " if error.filename is not None else ""
+        return f"{name}{error.strerror}"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""How commands speak: results to stdout, everything else to stderr, bad input as one clear line."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+DONE = 0  # exit status: it worked
+INFEASIBLE = 1  # exit status: the design cannot be built, and the reason was printed
+BAD_INPUT = 2  # exit status: bad input or configuration
+INTERRUPTED = 3  # exit status: stopped by the user, and it can be resumed
+
+SEED_BOUND = 2**63  # seeds are stored as signed 64-bit integers in run files
+
+
+class BadInput(ValueError):
+    """What the user gave cannot be used; the message is one line that says why and what to do."""
+
+
+def say(text: str) -> None:
+    """Tell the person at the terminal something (stderr)."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def emit(value: Any) -> None:
+    """Print one JSON document (stdout).
+
+    Raises:
+        ValueError: if a number is not finite; JSON has no word for it.
+    """
+    print(json.dumps(value, indent=2, allow_nan=False), flush=True)
+
+
+def progress(iterable: Iterable[T], total: int | None, label: str) -> Iterator[T]:
+    """Pass items through while a bar on stderr shows how far, how fast and how long still."""
+    from tqdm import tqdm
+
+    live = sys.stderr.isatty()
+    # In a log file a bar is a stream of lines: one every ten seconds is enough.
+    yield from tqdm(
+        iterable, total=total, desc=label, file=sys.stderr, dynamic_ncols=live, mininterval=0.1 if live else 10.0
+    )
+
+
+def make_folder(path: Path | str) -> Path:
+    """Make an output folder, with its parents.
+
+    Raises:
+        BadInput: if a file is in the way.
+        OSError: if it cannot be made or written to.
+    """
+    folder = Path(path)
+    for part in (folder, *folder.parents):
+        if part.is_dir():
+            break
+        if part.exists() or part.is_symlink():
+            raise BadInput(f"{part} is a file, so no folder {folder} can be made there; choose another --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def count(text: str) -> int:
+    """Read a command-line argument that counts things: a whole number of at least 1."""
+    return _whole(text, 1, 10**9)
+
+
+def seed(text: str) -> int:
+    """Read a command-line seed: a whole number of at least 0."""
+    return _whole(text, 0, SEED_BOUND - 1)
+
+
+def _whole(text: str, least: int, greatest: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if not least <= value <= greatest:
+        raise argparse.ArgumentTypeError(f"{value} is out of bounds; it must lie in [{least}, {greatest}]")
+    return value
