@@ -1,0 +1,167 @@
+"""The robot as a simulator sees it: links, joints, masses and hulls. The one source of URDF, MJCF and the model builder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.blueprint import Blueprint, Transform
+from mfg.catalogue import Motor
+from mfg.fields import Field
+from mfg.masses import body_masses
+
+HULL_VERTICES = 128  # at most, per link
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Link:
+    """One rigid body. Its frame has the design's axes (z up) and its origin at its hinge; the root's at its centre of mass.
+
+    Attributes:
+        name: body name.
+        parent: index of the parent link, -1 for the root. A parent always comes before its children.
+        T: position of this link's origin relative to the parent's origin [m], (3,); the root's in the design frame.
+        mass: [kg], with everything mounted in it.
+        com: centre of mass in the link frame [m], (3,).
+        inertia: about the centre of mass, in link axes [kg.m2], (3, 3).
+        hull: vertices of a convex hull of bone and skin in the link frame [m], (n, 3), n <= 128.
+    """
+
+    name: str
+    parent: int
+    T: NDArray[np.float64]
+    mass: float
+    com: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+    hull: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DescribedJoint:
+    """One driven hinge, through the origin of the link that it moves.
+
+    Attributes:
+        name: joint name.
+        link: index of the moved link.
+        axis: unit vector in the link frame, (3,); the link turns about it by the right-hand rule.
+        range: least and greatest angle [rad], (2,); 0 is the pose at rest.
+        motor: what drives it.
+    """
+
+    name: str
+    link: int
+    axis: NDArray[np.float64]
+    range: NDArray[np.float64]
+    motor: Motor
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Description:
+    """A whole robot.
+
+    Attributes:
+        name: the design's key.
+        links: root first.
+        joints: in the order of `blueprint.hinges`.
+        imu_link: index of the link that carries the IMU.
+        T_link_imu: pose of the IMU in that link's frame, (4, 4).
+        source: "blueprint" where motors and electronics have their seats, "design" before.
+        standing_height: height of the root link's origin above the ground when the lowest hull vertex touches it [m].
+    """
+
+    name: str
+    links: tuple[Link, ...]
+    joints: tuple[DescribedJoint, ...]
+    imu_link: int
+    T_link_imu: Transform
+    source: Literal["design", "blueprint"]
+    standing_height: float
+
+    @property
+    def mass(self) -> float:
+        """Of the whole robot [kg]."""
+        return sum(link.mass for link in self.links)
+
+    def origins(self) -> NDArray[np.float64]:
+        """Origin of every link in the design frame at rest [m], (n, 3)."""
+        origins: list[NDArray[np.float64]] = []
+        for link in self.links:
+            origins.append(link.T if link.parent < 0 else origins[link.parent] + link.T)
+        return np.array(origins)
+
+
+def describe(blueprint: Blueprint) -> Description:
+    """Describe a blueprint that has bodies and hinges, whatever stages have run since.
+
+    Raises:
+        ValueError: if the blueprint has no bodies yet.
+    """
+    if not blueprint.bodies:
+        raise ValueError(f"design {blueprint.design.key} has no bodies yet; run the skeleton and bone solvers first")
+    masses = blueprint.masses or body_masses(blueprint)
+    origins = [masses[0].com, *(hinge.position for hinge in blueprint.hinges)]
+    parents = [-1, *(hinge.parent for hinge in blueprint.hinges)]
+    links = []
+    for index, body in enumerate(blueprint.bodies):
+        origin, parent = np.asarray(origins[index], np.float64), parents[index]
+        properties = masses[index]
+        links.append(Link(
+            name=body.name, parent=parent, T=origin if parent < 0 else origin - origins[parent], mass=properties.mass,
+            com=properties.com - origin, inertia=properties.inertia,
+            hull=thinned(_surface_points(blueprint, index)) - origin,
+        ))  # fmt: skip
+    joints = tuple(
+        DescribedJoint(hinge.name, hinge.body, hinge.axis, hinge.range, blueprint.catalogue.motor)
+        for hinge in blueprint.hinges
+    )
+    imu_link, T_link_imu = 0, np.eye(4)
+    if blueprint.boxes:
+        seat = blueprint.box("controller")
+        imu_link, T_link_imu = seat.body, seat.T_design_box.copy()
+        T_link_imu[:3, 3] -= origins[imu_link]
+    lowest = min(float((link.hull[:, 2] + origins[i][2]).min()) for i, link in enumerate(links))
+    return Description(
+        name=blueprint.design.key, links=tuple(links), joints=joints, imu_link=imu_link, T_link_imu=T_link_imu,
+        source="blueprint" if blueprint.seats else "design", standing_height=float(origins[0][2]) - lowest,
+    )  # fmt: skip
+
+
+def thinned(points: NDArray[np.float64], most: int = HULL_VERTICES) -> NDArray[np.float64]:
+    """The points that are extreme in `most` spread directions (the six of the axes among them), in a fixed order, (n, 3)."""
+    directions = np.concatenate([np.eye(3), -np.eye(3), _spread_directions(most - 6)])
+    return points[np.unique((points @ directions.T).argmax(0))]
+
+
+def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
+    """Points on the surface of a body's bone and skin [m], (n, 3)."""
+    solids = [part.solid.vertices for part in blueprint.parts if part.body == body]
+    if solids:
+        return np.concatenate(solids)
+    shape = blueprint.bodies[body]
+    return np.concatenate([_crossings(field) for field in (shape.bone, shape.skin) if field is not None])
+
+
+def _crossings(field: Field) -> NDArray[np.float64]:
+    """Where the surface phi = 0 crosses the edges of the lattice: the vertices of marching cubes, without the triangles."""
+    values = np.pad(field.values, 1, constant_values=-np.float32(field.spacing))
+    found = []
+    for axis in range(3):
+        a, b = values.take(range(values.shape[axis] - 1), axis), values.take(range(1, values.shape[axis]), axis)
+        index = np.argwhere((a > 0) != (b > 0))
+        one, two = a[tuple(index.T)].astype(np.float64), b[tuple(index.T)].astype(np.float64)
+        position = index.astype(np.float64)
+        position[:, axis] += one / (one - two)
+        found.append(position)
+    return (np.concatenate(found) - 1.0 + np.asarray(field.corner)) * field.spacing
+
+
+def _spread_directions(count: int) -> NDArray[np.float64]:
+    """Unit vectors spread evenly over the sphere (Fibonacci lattice), (count, 3)."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
+    radius = np.sqrt(1.0 - z**2)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)

@@ -1,0 +1,224 @@
+"""Mass, centre and inertia of each body: what the printer lays down plus every component at its pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.blueprint import Blueprint, MotorSeat, Transform, WireRun
+from mfg.catalogue import Filament, Motor, Size
+from mfg.solids import Solid, from_field
+
+# Second moments of uniform shapes over mass: a triangle's and a tetrahedron's vertices weigh like this.
+_TRIANGLE = 1.0 / 12.0
+_TETRAHEDRON = 1.0 / 20.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MassProperties:
+    """A rigid body's mass distribution.
+
+    Attributes:
+        mass: [kg].
+        com: centre of mass in the design frame [m], (3,).
+        inertia: about the centre of mass, in design axes [kg.m2], (3, 3).
+    """
+
+    mass: float
+    com: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Moments:
+    """Integrals of mass over the design frame; they add, so a body is the sum of its parts.
+
+    Attributes:
+        mass: integral of dm [kg].
+        first: integral of x dm [kg.m], (3,).
+        second: integral of x x^T dm [kg.m2], (3, 3).
+    """
+
+    mass: float
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+
+    def __add__(self, other: Moments) -> Moments:
+        """Both together."""
+        return Moments(self.mass + other.mass, self.first + other.first, self.second + other.second)
+
+    def scaled(self, factor: float) -> Moments:
+        """The same shape at `factor` times the density."""
+        return Moments(self.mass * factor, self.first * factor, self.second * factor)
+
+    def properties(self) -> MassProperties:
+        """Mass, centre and the inertia about it.
+
+        Raises:
+            ValueError: if there is no mass.
+        """
+        if not self.mass > 0:
+            raise ValueError(f"a body of mass {self.mass:g} kg has no centre of mass; every body needs a printed part")
+        com = self.first / self.mass
+        spread = self.second - self.mass * np.outer(com, com)
+        spread = (spread + spread.T) / 2
+        return MassProperties(self.mass, com, np.trace(spread) * np.eye(3) - spread)
+
+
+NOTHING = Moments(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
+def total(moments: Iterable[Moments]) -> Moments:
+    """The sum of all."""
+    return sum(moments, NOTHING)
+
+
+def volume_moments(solid: Solid) -> Moments:
+    """Moments of the inside at density 1 kg/m3 (tetrahedra from the first vertex, closed form)."""
+    anchor = solid.vertices[0] if len(solid.vertices) else np.zeros(3)
+    corners = solid.vertices[solid.triangles] - anchor
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    return _shifted(_of_simplices(corners, volume, 4, _TETRAHEDRON), anchor)
+
+
+def shell_moments(solid: Solid, depth: float = 0.0) -> Moments:
+    """Moments of the surface at 1 kg/m2, each triangle moved inward by `depth` [m] (closed form)."""
+    corners = solid.vertices[solid.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.linalg.norm(normal, axis=1)
+    inward = normal / np.maximum(twice, 1e-300)[:, None] * depth
+    return _of_simplices(corners - inward[:, None, :], twice / 2.0, 3, _TRIANGLE)
+
+
+def printed_moments(solid: Solid, filament: Filament, line_width: float) -> Moments:
+    """What the slicer lays down: walls along the surface, infill inside.
+
+    m = rho (t A + infill (V - t A)) with t = walls * line_width, the wall taken as a shell half its thickness below the
+    surface. Where walls would fill more than the part (t A > V) it is solid: t shrinks to V / A.
+    """
+    if solid.is_empty:
+        return NOTHING
+    thickness = min(filament.walls * line_width, solid.volume / solid.area)
+    inside = volume_moments(solid).scaled(filament.density * filament.infill)
+    wall = shell_moments(solid, thickness / 2).scaled(filament.density * (1.0 - filament.infill) * thickness)
+    return inside + wall
+
+
+def box_moments(mass: float, size: Size, pose: Transform) -> Moments:
+    """A uniform box centred on its frame."""
+    return _at(mass, np.diag(np.square(size)) / 12.0, pose)
+
+
+def cylinder_moments(mass: float, radius: float, length: float, pose: Transform) -> Moments:
+    """A uniform cylinder centred on its frame, along z."""
+    return _at(mass, np.diag([radius**2 / 4, radius**2 / 4, length**2 / 12]), pose)
+
+
+def polyline_moments(mass_per_metre: float, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> Moments:
+    """Straight pieces of wire from `starts` to `ends`, both (k, 3) [m]."""
+    pieces = np.stack([starts, ends], axis=1)
+    length = np.linalg.norm(ends - starts, axis=1)
+    return _of_simplices(pieces, length, 2, 1.0 / 6.0).scaled(mass_per_metre)
+
+
+def body_masses(blueprint: Blueprint) -> tuple[MassProperties, ...]:
+    """Mass properties of every body, in the order of `blueprint.bodies`.
+
+    Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise. A motor belongs to the
+    body that holds its housing; its rotor turns with the output, but is counted here as part of the motor, and its spin
+    enters the simulation as armature. Before motors have seats they sit at their hinges, on the parent, and before the
+    electronics have theirs they sit at the root's centre.
+    """
+    moments = [NOTHING for _ in blueprint.bodies]
+    for body, printed in printed_by_body(blueprint):
+        moments[body] = moments[body] + printed
+    for body, component in component_moments(blueprint):
+        moments[body] = moments[body] + component
+    return tuple(m.properties() for m in moments)
+
+
+def printed_by_body(blueprint: Blueprint) -> list[tuple[int, Moments]]:
+    """(body, moments) of everything that is printed."""
+    rigid, soft, width = blueprint.catalogue.rigid, blueprint.catalogue.soft, blueprint.catalogue.printer.line_width
+    if blueprint.parts:
+        return [(part.body, printed_moments(part.solid, rigid if part.material == "rigid" else soft, width))
+                for part in blueprint.parts]  # fmt: skip
+    found = []
+    for index, body in enumerate(blueprint.bodies):
+        found.append((index, printed_moments(from_field(body.bone, simplify=0), rigid, width)))
+        if body.skin is not None:
+            soft_depth = np.minimum(body.skin.values, -body.bone.on_lattice_of(body.skin))
+            if (soft_depth > 0).any():
+                soft_solid = from_field(body.skin.with_values(soft_depth), simplify=0)
+                found.append((index, printed_moments(soft_solid, soft, width)))
+    return found
+
+
+def component_moments(blueprint: Blueprint) -> list[tuple[int, Moments]]:
+    """(body, moments) of every motor, box and wire."""
+    catalogue = blueprint.catalogue
+    found = []
+    if blueprint.seats:
+        found += [(seat.holder, motor_moments(catalogue.motor, seat.T_design_motor)) for seat in blueprint.seats]
+    else:
+        found += [(h.parent, motor_moments(catalogue.motor, _frame(h.position, h.axis))) for h in blueprint.hinges]
+    masses = {"battery": catalogue.battery.mass, "controller": catalogue.computer.mass}
+    if blueprint.boxes:
+        found += [(seat.body, box_moments(masses[seat.kind], seat.size, seat.T_design_box)) for seat in blueprint.boxes]
+    elif blueprint.bodies:
+        pose = np.eye(4)
+        pose[:3, 3] = blueprint.bodies[0].bone.centroid()
+        found.append((0, box_moments(catalogue.battery.mass, catalogue.battery.size, pose)))
+        found.append((0, box_moments(catalogue.computer.mass, catalogue.computer.size, pose)))
+    for wire in blueprint.wires:
+        found += _wire_moments(wire, blueprint)
+    return found
+
+
+def motor_moments(motor: Motor, pose: Transform) -> Moments:
+    """A motor as a uniform cylinder about z of its frame."""
+    return cylinder_moments(motor.mass, motor.diameter / 2, motor.length, pose)
+
+
+def _wire_moments(wire: WireRun, blueprint: Blueprint) -> list[tuple[int, Moments]]:
+    """Each piece of the cable belongs to the body it lies deepest in."""
+    starts, ends = wire.path[:-1], wire.path[1:]
+    middle = (starts + ends) / 2
+    depth = np.stack([(body.skin or body.bone).sample(middle) for body in blueprint.bodies])
+    seat: MotorSeat = blueprint.seats[wire.seat]
+    owner = np.where(depth.max(0) > -0.5, depth.argmax(0), seat.holder)  # beyond every lattice: with the motor
+    linear = blueprint.catalogue.wire.mass_per_metre
+    return [(int(b), polyline_moments(linear, starts[owner == b], ends[owner == b])) for b in np.unique(owner)]
+
+
+def _of_simplices(corners: NDArray[np.float64], mass: NDArray[np.float64], count: int, weight: float) -> Moments:
+    """Uniform simplices with the given corners (n, k, 3); a tetrahedron's fourth corner is the origin."""
+    centre = corners.sum(1)
+    second = np.einsum("i,ija,ijb->ab", mass, corners, corners) + np.einsum("i,ia,ib->ab", mass, centre, centre)
+    return Moments(float(mass.sum()), (mass @ centre) / count, second * weight)
+
+
+def _shifted(moments: Moments, offset: NDArray[np.float64]) -> Moments:
+    cross = np.outer(offset, moments.first)
+    second = moments.second + cross + cross.T + moments.mass * np.outer(offset, offset)
+    return Moments(moments.mass, moments.first + moments.mass * offset, second)
+
+
+def _at(mass: float, spread: NDArray[np.float64], pose: Transform) -> Moments:
+    """A body with covariance `spread` (mean of x x^T) in its own centred frame."""
+    turn, centre = pose[:3, :3], pose[:3, 3]
+    return Moments(mass, mass * centre, mass * (turn @ spread @ turn.T + np.outer(centre, centre)))
+
+
+def _frame(position: Sequence[float] | NDArray[np.float64], axis: NDArray[np.float64]) -> Transform:
+    """A frame at `position` with z along `axis`."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(helper, axis)
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, np.cross(axis, x), axis], axis=1)
+    pose[:3, 3] = position
+    return pose
