@@ -16,6 +16,12 @@ INFEASIBLE = 1  # exit status: the design cannot be built, and the reason was pr
 BAD_INPUT = 2  # exit status: bad input or configuration
 INTERRUPTED = 3  # exit status: stopped by the user, and it can be resumed
 
+# What the options of the same name accept; a test keeps them equal to what the library offers.
+DECODERS = ("genome",)
+PRIORS = ("normal", "uniform")
+SOLVERS = ("paper",)
+CATALOGUES = ("paper",)
+
 SEED_BOUND = 2**63  # seeds are stored as signed 64-bit integers in run files
 
 

@@ -1,0 +1,90 @@
+"""`bodyplan build`: one design becomes the folder one prints, buys and wires from, or the reason why it cannot."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from experiments.output import CATALOGUES, DONE, INFEASIBLE, SOLVERS, BadInput, emit, make_folder, say
+
+if TYPE_CHECKING:
+    from decoder.design import VoxelDesign
+    from mfg.catalogue import Catalogue
+
+HELP = "a design (.npz or .vox) becomes a blueprint folder: parts, print file, models, wiring, bill of materials"
+
+MESHES = (".stl", ".obj", ".glb", ".ply")
+PICTURE = (1200, 900)  # [pixel]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="a design: .npz, or MagicaVoxel .vox")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="blueprint folder to write")
+    add_pipeline_options(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def add_pipeline_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose solvers and components."""
+    parser.add_argument("--solver", choices=SOLVERS, default="paper", help="how solvers search (paper)")
+    parser.add_argument("--catalogue", choices=CATALOGUES, default="paper", help="which components (paper)")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Build one design; status 1 if it cannot be built."""
+    from mfg.export import write_blueprint
+    from mfg.picture import picture_of_blueprint
+    from mfg.pipeline import build
+    from mfg.render import save_png
+
+    design = read_design(args.design)
+    # Made before the work, so that a folder that cannot be written to is found at once.
+    existed = args.out.is_dir()
+    folder = make_folder(args.out)
+    outcome = build(design, catalogue(args.catalogue))
+    if not outcome.ok:
+        if not existed:
+            folder.rmdir()
+        if args.json:
+            emit(outcome.to_json(None))
+        say(f"bodyplan: {args.design} cannot be built: {outcome.failure}")
+        return INFEASIBLE
+    write_blueprint(outcome, folder)
+    save_png(folder / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
+    if args.json:
+        emit(outcome.to_json(str(folder)))
+        return DONE
+    blueprint, scores = outcome.blueprint, outcome.scores
+    mass = sum(m.mass for m in blueprint.masses)
+    print(f"{args.design} can be built: {len(blueprint.hinges)} joints, {len(blueprint.parts)} printed parts, "
+          f"{mass:.2f} kg, S_mfg = {scores.total:.2f} of 5")  # fmt: skip
+    for note in blueprint.notes:
+        print(f"  note: {note}")
+    print(f"blueprint in {folder}: look at {folder / 'blueprint.png'}, print {folder / 'print.3mf'}")
+    return DONE
+
+
+def read_design(path: Path) -> VoxelDesign:
+    """Read a design for a command.
+
+    Raises:
+        BadInput: if the path is not one of a design file.
+        DesignError: if the file does not hold a design.
+        OSError: if it cannot be read.
+    """
+    from decoder.sketch import load_design
+
+    if path.is_dir():
+        raise BadInput(f"{path} is a folder, expected a design file (.npz or .vox)")
+    if path.suffix.lower() in MESHES:
+        raise BadInput(f"{path}: bodies from a mesh arrive in a later version; give a .npz or a painted .vox")
+    return load_design(path)
+
+
+def catalogue(name: str) -> Catalogue:
+    """The catalogue of that name."""
+    from mfg.parts import PAPER
+
+    return {"paper": PAPER}[name]
