@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.catalogue import Motor, ScrewPattern
-from mfg.solids import Solid, cylinder, tube, union
+from mfg.solids import Solid, cylinder, tube
 
 FIT = 4e-4  # radial gap between housing and cup, a sliding fit in PLA [m]
 WALL = 7.5e-3  # of the cup [m]
@@ -91,8 +91,8 @@ def housing(mount: Mount) -> Solid:
 @lru_cache(maxsize=8)
 def holder(mount: Mount) -> Solid:
     """The cup around the housing, with screw holes and a cable bore in its base plate."""
-    cup = tube(mount.holder_radius, mount.cavity_radius, mount.housing_low, mount.holder_top)
-    base = cylinder(mount.holder_radius, mount.base_low, mount.housing_low + 1e-6)
+    cup = tube(mount.holder_radius, mount.cavity_radius, mount.base_low, mount.holder_top)
+    base = cylinder(mount.holder_radius - WALL / 2, mount.base_low, mount.housing_low)
     bore = cylinder(BORE, mount.base_low - GAP, mount.housing_low + GAP)
     holes = screw_holes(mount.motor.body_screws, mount.base_low - GAP, mount.housing_low + GAP)
     return (cup + base).minus([bore, *holes])
@@ -213,7 +213,3 @@ def _ring(pattern: ScrewPattern, radius: float, low: float, high: float) -> list
         holes.append(cylinder(radius, low, high, 16).moved(T))
     return holes
 
-
-def solid_volumes(mount: Mount) -> tuple[float, float]:
-    """Volumes of the holder and the connector [m3]: the most that either can overlap a bone."""
-    return union([holder(mount)]).volume, connector(mount).volume

@@ -1,0 +1,194 @@
+"""Solver: how far each joint can turn, and the interference near its limits carved away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from mfg.blueprint import Blueprint, Body, Hinge
+from mfg.bones import largest_piece, lattice_points
+from mfg.fields import OUTSIDE, Field, coverage
+from mfg.outcome import Failure, Reason, Stage
+
+
+@dataclass(frozen=True)
+class MotionSolver:
+    """Find feasible joint ranges and carve the mutual intersection of each jointed pair.
+
+    Both bones are sampled on one cylindrical grid about the hinge axis, where turning is a shift along the angle:
+    the interference at every angle is one circular correlation, and the region swept by the child is a running
+    maximum.
+
+    Attributes:
+        max_interference: share of the smaller bone that may interfere at any angle; the range ends before more does.
+        min_range: least total range of a joint that is worth a motor [rad].
+        gap: room left between the carved bone and the sweep [m].
+        max_loss: largest share of a bone that carving may leave floating.
+        angle_step, radial_step: resolution of the cylindrical grid [rad], [m].
+    """
+
+    max_interference: float = 0.06
+    min_range: float = 0.35
+    gap: float = 1.5e-3
+    max_loss: float = 0.15
+    angle_step: float = 2 * np.pi / 96
+    radial_step: float = 5e-3
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint with narrowed `hinges` and carved bones, or a motor failure."""
+        bodies, hinges = list(blueprint.bodies), []
+        volumes = [body.bone.volume() for body in bodies]
+        for hinge in blueprint.hinges:
+            pair = _CylindricalPair.sample(bodies[hinge.parent].bone, bodies[hinge.body].bone, hinge, self)
+            if pair is None:  # The two bones share no circle about the axis: nothing can ever touch.
+                hinges.append(hinge)
+                continue
+            allowed = self.max_interference * min(volumes[hinge.parent], volumes[hinge.body])
+            low, high = _feasible(pair.interference(), hinge.range, allowed, pair.step)
+            if high - low < self.min_range:
+                return Failure(
+                    Stage.MOTOR,
+                    Reason.NO_MOTION,
+                    f"{hinge.name} can turn {high - low:.2f} rad before {100 * self.max_interference:.0f} % of a bone "
+                    f"is in the way, needs {self.min_range:.2f} rad",
+                )
+            hinges.append(replace(hinge, range=np.array([low, high])))
+            # The heavier bone of the pair gives way: it has more to give.
+            carved = hinge.parent if volumes[hinge.parent] >= volumes[hinge.body] else hinge.body
+            swept = pair.swept(low, high, of_child=carved == hinge.parent)
+            bodies[carved], lost = _carve(bodies[carved], pair, swept, hinge, self.gap)
+            if lost > self.max_loss:
+                return Failure(
+                    Stage.MOTOR,
+                    Reason.BONE_SEVERED,
+                    f"clearing the sweep of {hinge.name} cuts {100 * lost:.0f} % off {bodies[carved].name}",
+                )
+        return replace(blueprint, bodies=tuple(bodies), hinges=tuple(hinges))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _CylindricalPair:
+    """Depths of two bones on a common (radius, angle, height) grid about a hinge axis."""
+
+    parent: NDArray[np.float32]
+    child: NDArray[np.float32]
+    frame: NDArray[np.float64]  # rows: x, y, axis
+    radius: NDArray[np.float64]
+    height: NDArray[np.float64]
+    step: float
+
+    @staticmethod
+    def sample(parent: Field, child: Field, hinge: Hinge, theta: MotionSolver) -> _CylindricalPair | None:
+        z = hinge.axis
+        helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+        x = helper - (helper @ z) * z
+        x /= np.linalg.norm(x)
+        frame = np.stack([x, np.cross(z, x), z])
+        reach = [_reach(f, hinge.position, frame) for f in (parent, child)]
+        r_low, r_high = max(r[0] for r in reach), min(r[1] for r in reach)
+        z_low, z_high = max(r[2] for r in reach), min(r[3] for r in reach)
+        step = theta.radial_step
+        if r_high - r_low < step or z_high - z_low < step:
+            return None
+        radius = np.arange(max(r_low - step, step / 2), r_high + step, step)
+        height = np.arange(z_low - step, z_high + step, step)
+        count = round(2 * np.pi / theta.angle_step)
+        angle = np.arange(count) * (2 * np.pi / count)
+        circle = np.cos(angle)[:, None] * frame[0] + np.sin(angle)[:, None] * frame[1]
+        points = (
+            hinge.position
+            + radius[:, None, None, None] * circle[None, :, None, :]
+            + height[None, None, :, None] * frame[2]
+        )
+        return _CylindricalPair(parent.sample(points), child.sample(points), frame, radius, height, 2 * np.pi / count)
+
+    def interference(self) -> NDArray[np.float64]:
+        """Overlap volume of the bones with the child turned by k steps, for every k [m3]."""
+        width = float(self.radius[1] - self.radius[0])
+        cell = self.radius * width * self.step * float(self.height[1] - self.height[0])
+        a = np.fft.rfft(coverage(self.parent, width), axis=1)
+        b = np.fft.rfft(coverage(self.child, width), axis=1)
+        turned = np.fft.irfft((a * np.conj(b)).sum(axis=2) * cell[:, None], n=self.parent.shape[1], axis=1)
+        return np.maximum(turned.sum(axis=0), 0.0)
+
+    def swept(self, low: float, high: float, of_child: bool) -> NDArray[np.float32]:
+        """Depth of the region that one bone passes over while the child turns from low to high, seen by the other."""
+        moving = self.child if of_child else self.parent
+        ahead = int(np.ceil((high if of_child else -low) / self.step))
+        behind = int(np.ceil((-low if of_child else high) / self.step))
+        # Sample k of the result is the greatest depth over samples k - ahead ... k + behind of the moving bone.
+        return _running_maximum(moving, ahead, behind)
+
+
+def _running_maximum(values: NDArray[np.float32], ahead: int, behind: int) -> NDArray[np.float32]:
+    """Greatest value over [k - ahead, k + behind] along the (circular) second axis."""
+    count, size = values.shape[1], ahead + behind + 1
+    if size >= count:
+        return np.broadcast_to(values.max(axis=1, keepdims=True), values.shape)
+    window = np.concatenate([values[:, count - ahead :], values, values[:, :behind]], axis=1)
+    width = 1
+    while 2 * width <= size:  # Windows of doubling width.
+        window = np.maximum(window[:, :-width], window[:, width:])
+        width *= 2
+    last = size - width
+    return np.maximum(window[:, :count], window[:, last : last + count])
+
+
+def _reach(field: Field, centre: NDArray[np.float64], frame: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    inside = np.argwhere(field.values > -field.spacing)
+    local = ((inside + field.corner) * field.spacing - centre) @ frame.T
+    radius = np.hypot(local[:, 0], local[:, 1])
+    return float(radius.min()), float(radius.max()), float(local[:, 2].min()), float(local[:, 2].max())
+
+
+def _feasible(
+    interference: NDArray[np.float64], wanted: NDArray[np.float64], allowed: float, step: float
+) -> tuple[float, float]:
+    """Widest range around 0 within `wanted` in which the interference stays below `allowed`."""
+    limits = []
+    for sign, bound in ((-1, -wanted[0]), (1, wanted[1])):
+        reached = 0.0
+        for k in range(1, len(interference) // 2 + 1):
+            if interference[sign * k] > allowed or reached >= bound:
+                break
+            reached = min(k * step, float(bound))
+        limits.append(sign * reached)
+    return limits[0], limits[1]
+
+
+def _carve(
+    body: Body, pair: _CylindricalPair, swept: NDArray[np.float32], hinge: Hinge, gap: float
+) -> tuple[Body, float]:
+    field = body.bone
+    whole = tuple(slice(0, n) for n in field.values.shape)
+    solid = np.argwhere(field.values > -2 * field.spacing)
+    if not len(solid):
+        return body, 1.0
+    low, high = solid.min(0), solid.max(0) + 1
+    whole = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    local = (lattice_points(field, whole) - hinge.position) @ pair.frame.T  # type: ignore[arg-type]
+    radius = np.hypot(local[..., 0], local[..., 1])
+    angle = np.mod(np.arctan2(local[..., 1], local[..., 0]), 2 * np.pi)
+    wrapped = np.concatenate([swept, swept[:, :1]], axis=1)
+    index = np.stack(
+        [
+            (radius - pair.radius[0]) / (pair.radius[1] - pair.radius[0]),
+            angle / pair.step,
+            (local[..., 2] - pair.height[0]) / (pair.height[1] - pair.height[0]),
+        ]
+    )
+    inside = ndimage.map_coordinates(wrapped, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
+    values = field.values.copy()
+    values[whole] = np.minimum(values[whole], -inside - np.float32(gap))
+    bone, lost = largest_piece(field.with_values(values))
+    skin = body.skin
+    if skin is not None:
+        # The skin must not grow into the room that the bone gave up.
+        given = np.full(field.values.shape, OUTSIDE, np.float32)
+        given[whole] = inside
+        room = field.with_values(given).on_lattice_of(skin)
+        skin = skin.with_values(np.minimum(skin.values, -room - np.float32(gap)))
+    return replace(body, bone=bone, skin=skin), lost

@@ -1,0 +1,162 @@
+"""Solver: one motor per joint, at the offset along the hinge axis that holds both bodies best (paper Eq. 2-3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.blueprint import Blueprint, Hinge, MotorSeat
+from mfg.fields import Field, coverage
+from mfg.mounts import Mount, envelope_depth, motor_pose, mount_of
+from mfg.outcome import Failure, Reason, Stage
+from mfg.scores import body_install_score, body_overlap, motor_score
+
+
+@dataclass(frozen=True)
+class MotorSolver:
+    """Scan offsets and both assignments of holder and connector; seat the best motor of every hinge.
+
+    Attributes:
+        min_overlap: tau, least volume that holder and connector must each share with their body [m3].
+        alpha: weight of the total volume against the balanced one in g(delta).
+        scan: offsets reach from -scan to +scan along the axis [m].
+        step: between offsets, and height of a slice of the sampled rings [m].
+        gap: least distance between the envelopes of two motors [m].
+        ring_steps, angle_steps: samples across and around the ring in which mount and bone overlap.
+    """
+
+    min_overlap: float = 2.0e-6
+    alpha: float = 0.25
+    scan: float = 0.040
+    step: float = 2.0e-3
+    gap: float = 2.0e-3
+    ring_steps: int = 3
+    angle_steps: int = 60
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint with `seats` and the motor and body-installation scores, or a motor failure."""
+        mount = mount_of(blueprint.catalogue.motor)
+        seats: list[MotorSeat] = []
+        for index, hinge in enumerate(blueprint.hinges):
+            seat = self._seat(blueprint, index, hinge, mount, seats)
+            if isinstance(seat, Failure):
+                return seat
+            seats.append(seat)
+        seated = replace(blueprint, seats=tuple(seats))
+        return seated.scored(
+            motor=motor_score([seat.score for seat in seats], mount, self.alpha),
+            body_install=body_install_score(body_overlap(seated)),
+        )
+
+    def _seat(
+        self, blueprint: Blueprint, index: int, hinge: Hinge, mount: Mount, seats: list[MotorSeat]
+    ) -> MotorSeat | Failure:
+        offsets = self.offsets()
+        best: MotorSeat | None = None
+        nearest, hit = (0.0, 0.0), False
+        for holder, connector in ((hinge.parent, hinge.body), (hinge.body, hinge.parent)):
+            # The housing points its output along the axis in both assignments.
+            V_h = self._overlaps(blueprint.bodies[holder].bone, hinge, mount, offsets, "holder")
+            V_c = self._overlaps(blueprint.bodies[connector].bone, hinge, mount, offsets, "connector")
+            nearest = max(nearest, max(zip(V_h.tolist(), V_c.tolist(), strict=True), key=min), key=min)
+            for k in sorted(range(len(offsets)), key=lambda k: (-self.objective(V_h[k], V_c[k]), abs(offsets[k]), k)):
+                score = self.objective(V_h[k], V_c[k])
+                if score <= 0.0 or (best is not None and score <= best.score):
+                    break
+                T = motor_pose(hinge.position, hinge.axis, float(offsets[k]))
+                if any(envelopes_meet(T, seat.T_design_motor, mount, self.gap) for seat in seats):
+                    hit = True
+                    continue
+                best = MotorSeat(index, holder, connector, float(offsets[k]), T, float(V_h[k]), float(V_c[k]), score)
+                break
+        if best is not None:
+            return best
+        if hit:
+            return Failure(
+                Stage.MOTOR,
+                Reason.MOTOR_COLLISION,
+                f"{hinge.name}: every offset with enough hold runs into a motor already seated",
+            )
+        return Failure(
+            Stage.MOTOR,
+            Reason.NO_OVERLAP,
+            f"{hinge.name}: the best offset shares {1e6 * nearest[0]:.1f} cm3 with the holder's body and "
+            f"{1e6 * nearest[1]:.1f} cm3 with the connector's, each needs {1e6 * self.min_overlap:.1f} cm3",
+        )
+
+    def offsets(self) -> NDArray[np.float64]:
+        """The candidate offsets delta, symmetric about 0 [m]."""
+        count = math.floor(self.scan / self.step)
+        return np.arange(-count, count + 1) * self.step
+
+    def objective(self, V_h: float, V_c: float) -> float:
+        """S(delta) = 1[V_h >= tau, V_c >= tau] g(delta) (paper Eq. 2)."""
+        if V_h < self.min_overlap or V_c < self.min_overlap:
+            return 0.0
+        return balance(V_h, V_c, self.alpha)
+
+    def _overlaps(
+        self, bone: Field, hinge: Hinge, mount: Mount, offsets: NDArray[np.float64], part: str
+    ) -> NDArray[np.float64]:
+        """V(delta): volume that one round part of the mount shares with a bone, for every offset [m3].
+
+        The part is a ring in every slice across the axis, so the bone is sampled once, slice by slice, and every
+        offset is a sum over the slices that the part then covers. Inside the attach radius the bone is cut away.
+        """
+        if part == "holder":
+            outer, low, high = mount.holder_radius, mount.base_low, mount.holder_top
+        else:
+            outer, low, high = mount.connector_radius, mount.connector_low, mount.connector_high
+        heights = np.arange(offsets[0] + low - self.step, offsets[-1] + high + self.step, self.step)
+        area = self._ring_area(bone, hinge, mount.attach_radius, outer, heights + self.step / 2)
+        volume = np.concatenate([[0.0], np.cumsum(area) * self.step])  # Volume below each slice boundary.
+        edges = np.append(heights, heights[-1] + self.step)
+        return np.interp(offsets + high, edges, volume) - np.interp(offsets + low, edges, volume)
+
+    def _ring_area(
+        self, bone: Field, hinge: Hinge, inner: float, outer: float, heights: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Area of a ring about the hinge axis that lies in the bone, at each height [m2]."""
+        width = (outer - inner) / self.ring_steps
+        radius = inner + (np.arange(self.ring_steps) + 0.5) * width
+        angle = (np.arange(self.angle_steps) + 0.5) * (2 * np.pi / self.angle_steps)
+        T = motor_pose(hinge.position, hinge.axis, 0.0)
+        circle = np.cos(angle)[:, None] * T[:3, 0] + np.sin(angle)[:, None] * T[:3, 1]
+        flat = radius[:, None, None] * circle[None]  # (ring, angle, 3)
+        points = hinge.position + flat[None] + heights[:, None, None, None] * hinge.axis
+        inside = coverage(bone.sample(points), width).astype(np.float64)
+        cell = radius * width * (2 * np.pi / self.angle_steps)
+        return np.einsum("hra,r->h", inside, cell)
+
+
+def balance(V_h: float, V_c: float, alpha: float) -> float:
+    """g = sqrt(V_h V_c) + alpha (V_h + V_c), volumes in [m3] (paper Eq. 3)."""
+    return math.sqrt(V_h * V_c) + alpha * (V_h + V_c)
+
+
+def envelopes_meet(T_a: NDArray[np.float64], T_b: NDArray[np.float64], mount: Mount, gap: float) -> bool:
+    """Whether two mounts come nearer to each other than `gap` [m] (sampled on the surface of one, both ways)."""
+    reach = math.hypot(mount.envelope_radius, mount.connector_high) * 2 + gap
+    if float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])) > reach:
+        return False
+    local = _surface_points(mount)
+    for T, other in ((T_a, T_b), (T_b, T_a)):
+        points = local @ T[:3, :3].T + T[:3, 3]
+        if (envelope_depth(points, other, mount, gap) > 0).any():
+            return True
+    return False
+
+
+def _surface_points(mount: Mount) -> NDArray[np.float64]:
+    """Points all over the envelope, rims and faces included, about 4 mm apart: (n, 3), motor frame."""
+    angle = np.arange(72) * (2 * np.pi / 72)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings: list[tuple[float, float]] = []
+    rings += [(mount.holder_radius, z) for z in np.linspace(mount.base_low, mount.connector_low, 18)]
+    rings += [(mount.connector_radius, z) for z in np.linspace(mount.connector_low, mount.connector_high, 5)]
+    for z, radius in ((mount.base_low, mount.holder_radius), (mount.connector_high, mount.connector_radius)):
+        rings += [(r, z) for r in np.linspace(0.0, radius, 12)]
+    return np.concatenate([np.column_stack([r * circle, np.full(len(circle), z)]) for r, z in rings])

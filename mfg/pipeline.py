@@ -1,0 +1,121 @@
+"""The solvers in order, and the two ways to run them: `score` (fields only, fast) and `build` (exact solids)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from decoder.design import VoxelDesign
+from mfg.blueprint import Blueprint
+from mfg.bones import BoneSolver
+from mfg.catalogue import Catalogue
+from mfg.electronics import ElectronicsSolver
+from mfg.finish import FinishSolver
+from mfg.motion import MotionSolver
+from mfg.motors import MotorSolver
+from mfg.outcome import Failure, Scores
+from mfg.parts import PAPER
+from mfg.printability import PrintabilitySolver
+from mfg.skeleton import SkeletonSolver
+from mfg.skins import SkinSolver
+from mfg.wires import WireSolver
+
+
+class Solver(Protocol):
+    """One manufacturing constraint, O = N(I, theta): the fields of the solver are theta (paper Eq. 1)."""
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint with this constraint resolved, or why it cannot be."""
+        ...
+
+
+VIRTUAL: tuple[Solver, ...] = (SkeletonSolver(), BoneSolver(), SkinSolver())  # bodies, before any hardware
+SCORING: tuple[Solver, ...] = (
+    *VIRTUAL,
+    MotionSolver(),
+    MotorSolver(),
+    ElectronicsSolver(),
+    WireSolver(),
+    PrintabilitySolver(),
+)
+BUILDING: tuple[Solver, ...] = (*SCORING, FinishSolver())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Outcome:
+    """What a pipeline made of one design.
+
+    Attributes:
+        blueprint: as far as the solvers got.
+        failure: why they stopped, or None.
+        seconds: wall time of every solver that ran, by its name.
+    """
+
+    blueprint: Blueprint
+    failure: Failure | None
+    seconds: dict[str, float]
+
+    @property
+    def design(self) -> VoxelDesign:
+        """The design it started from."""
+        return self.blueprint.design
+
+    @property
+    def ok(self) -> bool:
+        """Whether every solver succeeded."""
+        return self.failure is None
+
+    @property
+    def scores(self) -> Scores:
+        """The scores of the stages that were passed."""
+        return self.blueprint.scores
+
+    def to_json(self, out: str | None = None) -> dict[str, Any]:
+        """The object that `bodyplan score` and `bodyplan build` print."""
+        failure, scores = self.failure, self.scores
+        return {
+            "design": self.design.key,
+            "ok": self.ok,
+            "failure": None
+            if failure is None
+            else {"stage": str(failure.stage), "reason": str(failure.reason), "detail": failure.detail},
+            "scores": {
+                "motor": scores.motor,
+                "electronics": scores.electronics,
+                "cable": scores.cable,
+                "electronics_install": scores.electronics_install,
+                "body_install": scores.body_install,
+                "total": scores.total,
+            },
+            "seconds": {name: round(seconds, 4) for name, seconds in self.seconds.items()},
+            "out": out,
+        }
+
+
+def run(solvers: tuple[Solver, ...], blueprint: Blueprint) -> Outcome:
+    """Pass a blueprint through solvers in order until one fails."""
+    seconds: dict[str, float] = {}
+    for solver in solvers:
+        start = time.perf_counter()
+        answer = solver.solve(blueprint)
+        seconds[type(solver).__name__.removesuffix("Solver").lower()] = time.perf_counter() - start
+        if isinstance(answer, Failure):
+            return Outcome(blueprint, answer, seconds)
+        blueprint = answer
+    return Outcome(blueprint, None, seconds)
+
+
+def virtual(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
+    """Bones and skins only: the virtual robot, before any hardware is embedded."""
+    return run(VIRTUAL, Blueprint(design, catalogue))
+
+
+def score(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
+    """Verdict and five scores without exact solids or files: the fast path, used as fitness."""
+    return run(SCORING, Blueprint(design, catalogue))
+
+
+def build(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
+    """The whole blueprint: as `score`, then exact printable solids, masses and scores re-checked on them."""
+    return run(BUILDING, Blueprint(design, catalogue))

@@ -1,0 +1,152 @@
+"""Solver: would every body come out of the printer in one piece that fits it? The fast stand-in for exact parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from mfg.blueprint import Blueprint, Body, BoxSeat
+from mfg.bones import lattice_points
+from mfg.fields import Field, box_depth
+from mfg.mounts import Mount, connector_depth, envelope_depth, holder_depth, mount_of
+from mfg.outcome import Failure, Reason, Stage
+
+Window = tuple[slice, slice, slice]
+
+
+@dataclass(frozen=True)
+class PrintabilitySolver:
+    """Check on fields what the finish solver later checks on solids.
+
+    Attributes:
+        gap: room between a mount and the bodies that it does not belong to [m].
+        max_loss: largest share of a bone that the hardware may cut loose.
+        min_volume: least volume of a bone with its mounts [m3].
+    """
+
+    gap: float = 1.5e-3
+    max_loss: float = 0.10
+    min_volume: float = 3.0e-5
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint unchanged, or a print failure."""
+        mount = mount_of(blueprint.catalogue.motor)
+        printer = blueprint.catalogue.printer
+        for index, body in enumerate(blueprint.bodies):
+            field = with_hardware(blueprint, index, mount, self.gap)
+            failure = self._in_one_piece(blueprint, index, body, field)
+            if failure is not None:
+                return failure
+            extents = print_extents(_surface_samples(body, field))
+            if not fits(extents, printer.volume):
+                return Failure(
+                    Stage.PRINT,
+                    Reason.TOO_LARGE,
+                    f"{body.name} measures {_mm(extents)} mm, {printer.name} prints {_mm(np.array(printer.volume))} mm",
+                )
+        return blueprint
+
+    def _in_one_piece(self, blueprint: Blueprint, index: int, body: Body, field: Field) -> Failure | None:
+        pieces, count = ndimage.label(field.values > 0)
+        sizes = np.bincount(pieces.ravel())[1:] if count else np.zeros(1)
+        volume = float(sizes.max()) * field.spacing**3
+        lost = 1 - sizes.max() / max(sizes.sum(), 1)
+        if volume < self.min_volume or lost > self.max_loss:
+            return Failure(
+                Stage.PRINT,
+                Reason.BONE_SEVERED,
+                f"the hardware leaves {body.name} in {count} pieces, the largest {1e6 * volume:.0f} cm3 "
+                f"({100 * lost:.0f} % would be lost)",
+            )
+        main = int(np.argmax(sizes)) + 1
+        mount = mount_of(blueprint.catalogue.motor)
+        for seat in blueprint.seats:
+            if index not in (seat.holder, seat.connector):
+                continue
+            depth = holder_depth if seat.holder == index else connector_depth
+            window = motor_window(field, seat.T_design_motor, mount)
+            if window is None:
+                continue
+            own = depth(lattice_points(field, window), seat.T_design_motor, mount) > 0
+            if not (pieces[window][own] == main).any():
+                return Failure(
+                    Stage.PRINT,
+                    Reason.BONE_SEVERED,
+                    f"the mount of {blueprint.hinges[seat.hinge].name} hangs on a splinter of {body.name}",
+                )
+        return None
+
+
+def with_hardware(blueprint: Blueprint, index: int, mount: Mount, gap: float) -> Field:
+    """Depth field of one bone after everything is cut from it and its mounts are added."""
+    body = blueprint.bodies[index]
+    values = body.bone.values.copy()
+    for box in blueprint.boxes:
+        if box.body == index:
+            values = np.minimum(values, -_shaft_depth(body.bone, box))
+    for seat in blueprint.seats:
+        window = motor_window(body.bone, seat.T_design_motor, mount)
+        if window is None:
+            continue
+        points = lattice_points(body.bone, window)
+        T = seat.T_design_motor
+        if index == seat.holder:
+            cut = connector_depth(points, T, mount, gap)
+        elif index == seat.connector:
+            cut = holder_depth(points, T, mount, gap)
+        else:
+            cut = envelope_depth(points, T, mount, gap)
+        values[window] = np.minimum(values[window], -cut)
+    for seat in blueprint.seats:
+        window = motor_window(body.bone, seat.T_design_motor, mount)
+        if window is None or index not in (seat.holder, seat.connector):
+            continue
+        depth = holder_depth if index == seat.holder else connector_depth
+        own = depth(lattice_points(body.bone, window), seat.T_design_motor, mount)
+        values[window] = np.maximum(values[window], own)
+    return body.bone.with_values(values)
+
+
+def motor_window(field: Field, T_design_motor: NDArray[np.float64], mount: Mount) -> Window | None:
+    """The samples of a field that a motor's mount can reach, or None."""
+    reach = float(np.hypot(mount.envelope_radius, mount.connector_high)) + 2 * field.spacing
+    centre = (T_design_motor[:3, 3] - field.origin) / field.spacing
+    low = np.floor(centre - reach / field.spacing).astype(int).clip(0, field.values.shape)
+    high = np.ceil(centre + reach / field.spacing).astype(int).clip(-1, np.array(field.values.shape) - 1) + 1
+    if (high <= low).any():
+        return None
+    return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))  # type: ignore[return-value]
+
+
+def print_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Extents of the smaller of two boxes around points (n, 3): along the design axes or the principal axes [m]."""
+    centred = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    straight, turned = np.ptp(points, axis=0), np.ptp(centred @ axes, axis=0)
+    return min(straight, turned, key=lambda e: float(np.sort(e)[-1]))  # type: ignore[no-any-return]
+
+
+def fits(extents: NDArray[np.float64], volume: tuple[float, float, float]) -> bool:
+    """Whether a box of these extents fits the printer in one of its six axis orders."""
+    return bool((np.sort(extents) <= np.sort(volume)).all())
+
+
+def _shaft_depth(field: Field, box: BoxSeat) -> NDArray[np.float32]:
+    """Depth inside the cavity of a box and its insertion shaft."""
+    half = np.array(box.size) / 2 + box.clearance
+    low, high = -half[2], max(box.shaft, half[2])
+    T = box.T_design_box.copy()
+    T[:3, 3] += T[:3, 2] * (low + high) / 2
+    return box_depth(field.points(), T, np.array([half[0], half[1], (high - low) / 2]))
+
+
+def _surface_samples(body: Body, field: Field) -> NDArray[np.float64]:
+    shapes = [f for f in (field, body.skin) if f is not None]
+    return np.concatenate([(np.argwhere(np.abs(f.values) <= f.spacing) + f.corner) * f.spacing for f in shapes])
+
+
+def _mm(extents: NDArray[np.float64]) -> str:
+    return " x ".join(f"{1e3 * e:.0f}" for e in extents)
