@@ -90,7 +90,27 @@ def cylinder_depth(
     return np.minimum(radius - radial, np.minimum(along - low, high - along)).astype(np.float32)
 
 
-def box_depth(points: NDArray[np.float64], T_design_box: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.float32]:
+def box_depth(
+    points: NDArray[np.float64], T_design_box: NDArray[np.float64], half: NDArray[np.float64]
+) -> NDArray[np.float32]:
     """Depth inside a box of the given half extents in its own frame [m] (Chebyshev inside, so exact on faces)."""
     local = (points - T_design_box[:3, 3]) @ T_design_box[:3, :3]
     return (half - np.abs(local)).min(axis=-1).astype(np.float32)
+
+
+def cylinder_distance(points: NDArray[np.float64], T_design_cylinder: NDArray[np.float64], radius: float, low: float,
+                      high: float) -> NDArray[np.float64]:  # fmt: skip
+    """Euclidean distance from points (..., 3) to a cylinder about z of its frame; negative depth inside [m]."""
+    local = points - T_design_cylinder[:3, 3]
+    along = local @ T_design_cylinder[:3, 2]
+    radial = np.sqrt(np.maximum(np.einsum("...i,...i->...", local, local) - along**2, 0.0)) - radius
+    axial = np.maximum(low - along, along - high)
+    return np.hypot(np.maximum(radial, 0), np.maximum(axial, 0)) + np.minimum(np.maximum(radial, axial), 0)
+
+
+def box_distance(
+    points: NDArray[np.float64], T_design_box: NDArray[np.float64], half: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Euclidean distance from points (..., 3) to a box of the given half extents; negative depth inside [m]."""
+    beyond = np.abs((points - T_design_box[:3, 3]) @ T_design_box[:3, :3]) - half
+    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)

@@ -118,6 +118,22 @@ def from_field(field: Field, simplify: float = SIMPLIFY) -> Solid:
     Raises:
         ValueError: if the field is nowhere positive.
     """
+    position, triangles = surface(field)
+    kernel = m3.Manifold(m3.Mesh64(np.ascontiguousarray(position), np.ascontiguousarray(triangles, np.uint64)))
+    if kernel.status() != m3.Error.NoError:
+        raise ValueError(f"marching cubes gave no solid: {kernel.status()}")
+    solid = _of(kernel.simplify(simplify)) if simplify > 0 else _of(kernel)
+    if solid.volume <= 0:
+        raise ValueError(f"marching cubes gave an inside-out solid of volume {solid.volume:.3g} m3")
+    return solid
+
+
+def surface(field: Field) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The surface phi = 0 as bare vertices (n, 3) [m] and triangles (m, 3), without the kernel (marching cubes).
+
+    Raises:
+        ValueError: if the field is nowhere positive.
+    """
     padded = np.pad(field.values, 1, constant_values=-np.float32(field.spacing))
     padded = np.where(padded == 0, np.float32(1e-9), padded)  # a sample on the level makes degenerate triangles
     if not (padded > 0).any():
@@ -127,13 +143,7 @@ def from_field(field: Field, simplify: float = SIMPLIFY) -> Solid:
     )
     # vertices - 1 undoes the padding.
     position = (vertices.astype(np.float64) - 1.0 + np.asarray(field.corner)) * field.spacing
-    kernel = m3.Manifold(m3.Mesh64(np.ascontiguousarray(position), np.ascontiguousarray(triangles, np.uint64)))
-    if kernel.status() != m3.Error.NoError:
-        raise ValueError(f"marching cubes gave no solid: {kernel.status()}")
-    solid = _of(kernel.simplify(simplify)) if simplify > 0 else _of(kernel)
-    if solid.volume <= 0:
-        raise ValueError(f"marching cubes gave an inside-out solid of volume {solid.volume:.3g} m3")
-    return solid
+    return position, triangles.astype(np.int64)
 
 
 def cylinder(radius: float, low: float, high: float, segments: int = SEGMENTS) -> Solid:

@@ -1,0 +1,176 @@
+"""The five manufacturability scores: every equation of the paper's metrics, and the constants that bring it to [0, 1].
+
+Each score is monotone in what it measures. The constants are derived where they are defined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.blueprint import Blueprint, MotorSeat
+from mfg.catalogue import Catalogue, Size
+from mfg.fields import OUTSIDE, Field
+from mfg.mounts import Mount, connector_depth, holder_depth, mount_of
+
+CABLE_ALPHA = 0.5  # weight of curvature against length: a sharp bend can be pulled through, a missing metre cannot
+CABLE_LENGTH = 2.0  # 1 / lambda_L: cable of one drum-side harness, at which the length term has fallen to 1/e [m]
+BEND_MARGIN = 1.0  # 1 / lambda_kappa in units of 1 / (least bend radius of the cable)
+OVERLAP_VOLUME = (
+    5.0e-5  # lambda of Eq. 9: half of one J60 holder cup with its motor, 1/e where one mount is buried [m3]
+)
+SIZE_SHARE = 0.8  # share of the printer's volume, in its tightest direction, above which a body counts as large
+
+
+def mount_balance(V_h: float, V_c: float, alpha: float) -> float:
+    """g = sqrt(V_h V_c) + alpha (V_h + V_c), volumes in [m3] (paper Eq. 3)."""
+    return math.sqrt(V_h * V_c) + alpha * (V_h + V_c)
+
+
+def motor_scale(mount: Mount, alpha: float) -> float:
+    """g where both bodies fill half of the ring in which mounts and bones can overlap [m3].
+
+    Bones that face each other across the hinge share the ring, so half of it each is the best of both.
+    """
+    inner = mount.attach_radius**2
+    V_h = math.pi * (mount.holder_radius**2 - inner) * (mount.holder_top - mount.base_low)
+    V_c = math.pi * (mount.connector_radius**2 - inner) * (mount.connector_high - mount.connector_low)
+    return mount_balance(V_h / 2, V_c / 2, alpha)
+
+
+def motor_score(scores: Sequence[float], mount: Mount, alpha: float) -> float:
+    """S_motor = mean over joints of S_j(delta_j*), divided by `motor_scale` and clipped to 1 (paper Eq. 5)."""
+    return _unit(float(np.mean(scores)) / motor_scale(mount, alpha)) if len(scores) else 0.0
+
+
+def size_penalty(extents: NDArray[np.float64], volume: Size, share: float = SIZE_SHARE) -> float:
+    """p_obb in (0, 1]: 1 while an oriented box needs at most `share` of the printer, then share over need (Eq. 6).
+
+    Args:
+        extents: of the body's oriented bounding box [m], (3,).
+        volume: of the printer [m].
+        share: threshold on the need, which is the largest ratio of a sorted extent to the printer's sorted side.
+    """
+    need = float((np.sort(extents) / np.sort(volume)).max())
+    return min(1.0, share / need)
+
+
+def electronics_scale(catalogue: Catalogue) -> float:
+    """Clearance at which the battery fits in every orientation: half of its diagonal [m]."""
+    return float(np.linalg.norm(catalogue.battery.size)) / 2
+
+
+def electronics_score(d_max: float, p_obb: float, catalogue: Catalogue) -> float:
+    """S_elec = d_max p_obb, divided by `electronics_scale` and clipped to 1 (paper Eq. 6)."""
+    return _unit(d_max * p_obb / electronics_scale(catalogue))
+
+
+def cable_score(length: float, curvature: float, catalogue: Catalogue) -> float:
+    """S_cable = exp(-lambda_L L_tot) + alpha exp(-lambda_kappa kappa_max), divided by 1 + alpha (paper Eq. 7).
+
+    Args:
+        length: L_tot, sum over all tunnels [m].
+        curvature: kappa_max over all tunnels [1/m].
+        catalogue: its cable's least bend radius sets lambda_kappa.
+    """
+    lambda_kappa = catalogue.wire.bend_radius / BEND_MARGIN
+    raw = math.exp(-length / CABLE_LENGTH) + CABLE_ALPHA * math.exp(-lambda_kappa * curvature)
+    return _unit(raw / (1 + CABLE_ALPHA))
+
+
+def insertion_scale(catalogue: Catalogue) -> float:
+    """Lambda of Eq. 8: the volume of the two modules that must pass [m3]."""
+    return float(np.prod(catalogue.battery.size) + np.prod(catalogue.computer.size))
+
+
+def electronics_install_score(V_cap: float, catalogue: Catalogue) -> float:
+    """S_elec-inst = exp(-V_cap / lambda), V_cap in [m3] (paper Eq. 8)."""
+    return _unit(math.exp(-max(V_cap, 0.0) / insertion_scale(catalogue)))
+
+
+def body_install_score(V_overlap: float) -> float:
+    """S_body-inst = exp(-V_overlap / lambda), V_overlap in [m3] (paper Eq. 9)."""
+    return _unit(math.exp(-max(V_overlap, 0.0) / OVERLAP_VOLUME))
+
+
+def body_overlap(blueprint: Blueprint) -> float:
+    """V_overlap: volume that the rigid bodies share, summed over all pairs [m3] (paper Eq. 9).
+
+    A body is its bone with the mounts that motor integration adds to it: the holder (with the motor in it) where it
+    holds one, the connector where it is screwed to one. Clearances that are carved later are not taken off: they are
+    the remedy, this is the disease.
+    """
+    rigid = with_mounts(blueprint)
+    return sum(shared_volume(a, b) for i, a in enumerate(rigid) for b in rigid[i + 1 :])
+
+
+def with_mounts(blueprint: Blueprint) -> tuple[Field, ...]:
+    """Depth of every bone united with its mounts, each on a lattice large enough for them."""
+    mount = mount_of(blueprint.catalogue.motor)
+    return tuple(
+        _united(body.bone, [s for s in blueprint.seats if index in (s.holder, s.connector)], index, mount)
+        for index, body in enumerate(blueprint.bodies)
+    )
+
+
+def shared_volume(a: Field, b: Field) -> float:
+    """Volume of the intersection of two fields on one lattice [m3].
+
+    In a cell that both surfaces cross, the share that lies in both depends on how they face: it is the smaller one
+    where the normals agree, what exceeds the cell together where they oppose, and the product where they are
+    perpendicular; between these it is interpolated in the cosine.
+    """
+    low = np.maximum(a.corner, b.corner)
+    high = np.minimum(np.add(a.corner, a.values.shape), np.add(b.corner, b.values.shape))
+    if (high - low < 2).any():
+        return 0.0
+    first, second = (
+        f.values[tuple(slice(p, q) for p, q in zip(low - f.corner, high - f.corner, strict=True))] for f in (a, b)
+    )
+    h = np.float32(a.spacing)
+    near = np.minimum(first, second) > -h / 2
+    if not near.any():
+        return 0.0
+    # Work in the box around the cells that both bodies reach.
+    found = [np.flatnonzero(near.any(axis=tuple(o for o in range(3) if o != axis))) for axis in range(3)]
+    window = tuple(slice(max(int(f[0]) - 1, 0), int(f[-1]) + 2) for f in found)
+    first, second, near = first[window], second[window], near[window]
+    p, q = np.clip(first[near] / h + 0.5, 0, 1), np.clip(second[near] / h + 0.5, 0, 1)
+    m, n = _normals(first, near), _normals(second, near)
+    cosine = np.clip((m * n).sum(axis=0), -1, 1)
+    extreme = np.where(cosine > 0, np.minimum(p, q), np.maximum(p + q - 1, 0))
+    share = np.abs(cosine) * extreme + (1 - np.abs(cosine)) * p * q
+    return float(share.sum(dtype=np.float64)) * a.spacing**3
+
+
+def _united(bone: Field, seats: list[MotorSeat], index: int, mount: Mount) -> Field:
+    reach = math.hypot(mount.envelope_radius, max(mount.connector_high, -mount.base_low)) + 2 * bone.spacing
+    low, high = np.array(bone.corner), np.add(bone.corner, bone.values.shape)
+    windows = []
+    for seat in seats:
+        centre = seat.T_design_motor[:3, 3]
+        windows.append([np.floor((centre - reach) / bone.spacing).astype(int),
+                        np.ceil((centre + reach) / bone.spacing).astype(int) + 1])  # fmt: skip
+        low, high = np.minimum(low, windows[-1][0]), np.maximum(high, windows[-1][1])
+    values = np.full(high - low, OUTSIDE, np.float32)
+    start = np.subtract(bone.corner, low)
+    values[tuple(slice(s, s + n) for s, n in zip(start, bone.values.shape, strict=True))] = bone.values
+    for seat, (first, last) in zip(seats, windows, strict=True):
+        axes = [np.arange(p, q) * bone.spacing for p, q in zip(first, last, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        there = tuple(slice(p, q) for p, q in zip(first - low, last - low, strict=True))
+        depth = holder_depth if seat.holder == index else connector_depth
+        values[there] = np.maximum(values[there], depth(points, seat.T_design_motor, mount))
+    return Field(values, (int(low[0]), int(low[1]), int(low[2])), bone.spacing)
+
+
+def _normals(depth: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.float32]:
+    slope = np.stack([d[where] for d in np.gradient(depth)])
+    return slope / np.maximum(np.linalg.norm(slope, axis=0), np.float32(1e-9))
+
+
+def _unit(value: float) -> float:
+    return min(1.0, max(0.0, value))
