@@ -1,0 +1,183 @@
+"""The command line: what it teaches, how it fails, and what it leaves alone."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sqlite3
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from decoder.design import DesignError
+from experiments import cli, output
+from experiments.cli import COMMANDS, THREAD_VARIABLES, VERSION
+from sim.actor import BundleError
+
+ROOT = Path(cli.__file__).parent.parent
+
+
+@pytest.fixture
+def doctor_that(monkeypatch):
+    """Replace what `bodyplan doctor` does."""
+
+    def replace(action):
+        monkeypatch.setattr("experiments.doctor.main", action)
+
+    return replace
+
+
+def raising(error):
+    def action(args):
+        raise error
+
+    return action
+
+
+def test_help_names_every_command_and_says_what_it_does(bodyplan):
+    said = bodyplan("--help")
+    assert said.status == 0
+    assert said.err == ""
+    for name in COMMANDS:
+        assert f"    {name} " in said.out
+
+
+def test_every_command_explains_each_of_its_arguments(bodyplan):
+    for name in COMMANDS:
+        parser = argparse.ArgumentParser()
+        module = __import__(f"experiments.{name}", fromlist=["configure"])
+        module.configure(parser)
+        assert all(action.help for action in parser._actions), name
+        said = bodyplan(name, "--help")
+        assert (said.status, said.err) == (0, "")
+        assert module.HELP.split()[0] in said.out
+
+
+def test_version_is_the_version_of_the_project(bodyplan):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["version"] == VERSION
+    assert bodyplan("--version").out == f"bodyplan {VERSION}\n"
+
+
+def test_the_options_offer_what_the_library_has():
+    from decoder.latent import DECODERS, PRIORS
+
+    assert output.DECODERS == DECODERS
+    assert output.PRIORS == PRIORS
+
+
+@pytest.mark.parametrize(("word", "hint"), [("biuld", "'build'"), ("scores", "'score'"), ("docter", "'doctor'")])
+def test_an_unknown_command_is_met_with_the_nearest(bodyplan, word, hint):
+    said = bodyplan(word)
+    assert said.status == 2
+    assert said.err.count("\n") == 1
+    assert f"did you mean {hint}" in said.err
+
+
+def test_a_command_like_none_of_ours_gets_the_list(bodyplan):
+    assert "run, sample, build" in bodyplan("xyzzy").err
+
+
+def test_an_unknown_option_is_met_with_the_nearest(bodyplan):
+    said = bodyplan("sample", "--out", "x", "--sed", "3")
+    assert said.status == 2
+    assert said.err.count("\n") == 1
+    assert "did you mean --seed" in said.err
+
+
+def test_options_are_not_abbreviated(bodyplan):
+    assert bodyplan("doctor", "--js").status == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (output.BadInput("no\nsuch thing"), "no such thing"),
+        (DesignError("empty grid"), "empty grid"),
+        (BundleError("no joints"), "no joints"),
+        (FileNotFoundError(2, "No such file or directory", "a.npz"), "a.npz: No such file or directory"),
+        (OSError(28, "No space left on device"), "No space left on device"),
+        (sqlite3.DatabaseError("file is not a database"), "file is not a database"),
+        (sqlite3.OperationalError("no such table: evaluations"), "no such table: evaluations"),
+    ],
+)
+def test_what_the_user_can_mend_is_one_line_and_status_2(bodyplan, doctor_that, error, line):
+    doctor_that(raising(error))
+    assert bodyplan("doctor") == (2, "", f"bodyplan: error: {line}\n")
+
+
+@pytest.mark.parametrize("error", [ValueError("shapes differ"), KeyError("x"), sqlite3.IntegrityError("twice")])
+def test_a_defect_of_the_program_is_not_passed_off_as_bad_input(bodyplan, doctor_that, error):
+    doctor_that(raising(error))
+    with pytest.raises(type(error)):
+        bodyplan("doctor")
+
+
+def test_an_interruption_is_status_3(bodyplan, doctor_that):
+    doctor_that(raising(KeyboardInterrupt()))
+    assert bodyplan("doctor").status == 3
+
+
+def test_the_status_of_a_command_is_the_status(bodyplan, doctor_that):
+    doctor_that(lambda _: 1)
+    assert bodyplan("doctor").status == 1
+
+
+def test_maths_libraries_get_one_thread_unless_told(bodyplan, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    bodyplan("--version")
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert all(os.environ[variable] for variable in THREAD_VARIABLES)
+    assert os.environ["MKL_NUM_THREADS"] == "1"
+
+
+def test_a_reader_that_leaves_early_is_not_an_error():
+    code = "import sys; from experiments.cli import main; sys.exit(main(['doctor', '--json']))"
+    stub = "import experiments.doctor as d\nd.main = lambda args: print('x' * 10_000_000) or 0\n"
+    command = f'{sys.executable} -c "{stub}{code}" | head -c 1; exit ${{PIPESTATUS[0]}}'
+    done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_emit_refuses_what_json_has_no_word_for(capsys):
+    output.emit({"a": [1, None, "β"]})
+    assert capsys.readouterr().out.startswith("{")
+    with pytest.raises(ValueError, match="JSON"):
+        output.emit(float("nan"))
+
+
+def test_progress_passes_everything_through(capsys):
+    assert list(output.progress(iter("abc"), 3, "letters")) == ["a", "b", "c"]
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "1.5", "many", "9" * 30])
+def test_a_count_is_a_whole_number_of_at_least_one(text):
+    with pytest.raises(argparse.ArgumentTypeError):
+        output.count(text)
+
+
+def test_a_seed_may_be_zero_and_must_fit_the_run_file():
+    assert output.seed("0") == 0
+    assert output.seed(str(2**63 - 1)) == 2**63 - 1
+    for text in ("-1", str(2**63), "0x1"):
+        with pytest.raises(argparse.ArgumentTypeError):
+            output.seed(text)
+
+
+def test_make_folder_makes_parents_and_refuses_a_file_in_the_way(tmp_path):
+    assert output.make_folder(tmp_path / "a" / "b").is_dir()
+    assert output.make_folder(tmp_path / "a" / "b").is_dir()
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(output.BadInput, match="is a file"):
+            output.make_folder(path)
+
+
+def test_the_story_names_only_commands_that_exist():
+    told = {line.split()[1] for line in cli.STORY.splitlines() if line.startswith("  bodyplan ")}
+    assert told <= set(COMMANDS)
