@@ -1,4 +1,4 @@
-"""The robot as a simulator sees it: links, joints, masses and hulls. The one source of URDF, MJCF and the model builder."""
+"""The robot as a simulator sees it: the one source of URDF, MJCF and the model builder."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Transform
 from mfg.catalogue import Motor
-from mfg.fields import Field
 from mfg.masses import body_masses
+from mfg.solids import surface
 
 HULL_VERTICES = 128  # at most, per link
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Link:
-    """One rigid body. Its frame has the design's axes (z up) and its origin at its hinge; the root's at its centre of mass.
+    """One rigid body; its frame has the design's axes (z up) and its origin at its hinge, the root's at its own com.
 
     Attributes:
         name: body name.
@@ -130,7 +130,7 @@ def describe(blueprint: Blueprint) -> Description:
 
 
 def thinned(points: NDArray[np.float64], most: int = HULL_VERTICES) -> NDArray[np.float64]:
-    """The points that are extreme in `most` spread directions (the six of the axes among them), in a fixed order, (n, 3)."""
+    """The points extreme in `most` spread directions, the six of the axes among them, in a fixed order, (n, 3)."""
     directions = np.concatenate([np.eye(3), -np.eye(3), _spread_directions(most - 6)])
     return points[np.unique((points @ directions.T).argmax(0))]
 
@@ -141,21 +141,7 @@ def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
     if solids:
         return np.concatenate(solids)
     shape = blueprint.bodies[body]
-    return np.concatenate([_crossings(field) for field in (shape.bone, shape.skin) if field is not None])
-
-
-def _crossings(field: Field) -> NDArray[np.float64]:
-    """Where the surface phi = 0 crosses the edges of the lattice: the vertices of marching cubes, without the triangles."""
-    values = np.pad(field.values, 1, constant_values=-np.float32(field.spacing))
-    found = []
-    for axis in range(3):
-        a, b = values.take(range(values.shape[axis] - 1), axis), values.take(range(1, values.shape[axis]), axis)
-        index = np.argwhere((a > 0) != (b > 0))
-        one, two = a[tuple(index.T)].astype(np.float64), b[tuple(index.T)].astype(np.float64)
-        position = index.astype(np.float64)
-        position[:, axis] += one / (one - two)
-        found.append(position)
-    return (np.concatenate(found) - 1.0 + np.asarray(field.corner)) * field.spacing
+    return surface(shape.bone if shape.skin is None else shape.skin)[0]  # a skin field holds its bone
 
 
 def _spread_directions(count: int) -> NDArray[np.float64]:

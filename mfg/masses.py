@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, MotorSeat, Transform, WireRun
 from mfg.catalogue import Filament, Motor, Size
-from mfg.solids import Solid, from_field
+from mfg.mounts import motor_pose
+from mfg.solids import surface
 
 # Second moments of uniform shapes over mass: a triangle's and a tetrahedron's vertices weigh like this.
 _TRIANGLE = 1.0 / 12.0
@@ -76,35 +77,39 @@ def total(moments: Iterable[Moments]) -> Moments:
     return sum(moments, NOTHING)
 
 
-def volume_moments(solid: Solid) -> Moments:
-    """Moments of the inside at density 1 kg/m3 (tetrahedra from the first vertex, closed form)."""
-    anchor = solid.vertices[0] if len(solid.vertices) else np.zeros(3)
-    corners = solid.vertices[solid.triangles] - anchor
+def volume_moments(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Moments:
+    """Moments of the inside of a closed mesh at density 1 kg/m3 (tetrahedra from the first vertex, closed form)."""
+    anchor = vertices[0] if len(vertices) else np.zeros(3)
+    corners = vertices[triangles] - anchor
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     return _shifted(_of_simplices(corners, volume, 4, _TETRAHEDRON), anchor)
 
 
-def shell_moments(solid: Solid, depth: float = 0.0) -> Moments:
-    """Moments of the surface at 1 kg/m2, each triangle moved inward by `depth` [m] (closed form)."""
-    corners = solid.vertices[solid.triangles]
+def shell_moments(vertices: NDArray[np.float64], triangles: NDArray[np.int64], depth: float = 0.0) -> Moments:
+    """Moments of a surface at 1 kg/m2, each triangle moved inward by `depth` [m] (closed form)."""
+    corners = vertices[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.linalg.norm(normal, axis=1)
     inward = normal / np.maximum(twice, 1e-300)[:, None] * depth
     return _of_simplices(corners - inward[:, None, :], twice / 2.0, 3, _TRIANGLE)
 
 
-def printed_moments(solid: Solid, filament: Filament, line_width: float) -> Moments:
+def printed_moments(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64], filament: Filament, line_width: float
+) -> Moments:
     """What the slicer lays down: walls along the surface, infill inside.
 
     m = rho (t A + infill (V - t A)) with t = walls * line_width, the wall taken as a shell half its thickness below the
     surface. Where walls would fill more than the part (t A > V) it is solid: t shrinks to V / A.
     """
-    if solid.is_empty:
+    inside, surface_area = volume_moments(vertices, triangles), shell_moments(vertices, triangles).mass
+    if not inside.mass > 0 or not surface_area > 0:
         return NOTHING
-    thickness = min(filament.walls * line_width, solid.volume / solid.area)
-    inside = volume_moments(solid).scaled(filament.density * filament.infill)
-    wall = shell_moments(solid, thickness / 2).scaled(filament.density * (1.0 - filament.infill) * thickness)
-    return inside + wall
+    thickness = min(filament.walls * line_width, inside.mass / surface_area)
+    wall = shell_moments(vertices, triangles, thickness / 2)
+    return inside.scaled(filament.density * filament.infill) + wall.scaled(
+        filament.density * (1.0 - filament.infill) * thickness
+    )
 
 
 def box_moments(mass: float, size: Size, pose: Transform) -> Moments:
@@ -127,10 +132,10 @@ def polyline_moments(mass_per_metre: float, starts: NDArray[np.float64], ends: N
 def body_masses(blueprint: Blueprint) -> tuple[MassProperties, ...]:
     """Mass properties of every body, in the order of `blueprint.bodies`.
 
-    Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise. A motor belongs to the
-    body that holds its housing; its rotor turns with the output, but is counted here as part of the motor, and its spin
-    enters the simulation as armature. Before motors have seats they sit at their hinges, on the parent, and before the
-    electronics have theirs they sit at the root's centre.
+    Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise. A motor belongs to
+    the body that holds its housing; its rotor turns with the output, but is counted here as part of the motor, and its
+    spin enters the simulation as armature. Before motors have seats they sit at their hinges, on the parent, and
+    before the electronics have theirs they sit at the root's centre.
     """
     moments = [NOTHING for _ in blueprint.bodies]
     for body, printed in printed_by_body(blueprint):
@@ -144,16 +149,16 @@ def printed_by_body(blueprint: Blueprint) -> list[tuple[int, Moments]]:
     """(body, moments) of everything that is printed."""
     rigid, soft, width = blueprint.catalogue.rigid, blueprint.catalogue.soft, blueprint.catalogue.printer.line_width
     if blueprint.parts:
-        return [(part.body, printed_moments(part.solid, rigid if part.material == "rigid" else soft, width))
+        return [(part.body, printed_moments(part.solid.vertices, part.solid.triangles,
+                                            rigid if part.material == "rigid" else soft, width))
                 for part in blueprint.parts]  # fmt: skip
     found = []
     for index, body in enumerate(blueprint.bodies):
-        found.append((index, printed_moments(from_field(body.bone, simplify=0), rigid, width)))
+        found.append((index, printed_moments(*surface(body.bone), rigid, width)))
         if body.skin is not None:
-            soft_depth = np.minimum(body.skin.values, -body.bone.on_lattice_of(body.skin))
-            if (soft_depth > 0).any():
-                soft_solid = from_field(body.skin.with_values(soft_depth), simplify=0)
-                found.append((index, printed_moments(soft_solid, soft, width)))
+            depth = np.minimum(body.skin.values, -body.bone.on_lattice_of(body.skin))
+            if (depth > 0).any():
+                found.append((index, printed_moments(*surface(body.skin.with_values(depth)), soft, width)))
     return found
 
 
@@ -164,7 +169,9 @@ def component_moments(blueprint: Blueprint) -> list[tuple[int, Moments]]:
     if blueprint.seats:
         found += [(seat.holder, motor_moments(catalogue.motor, seat.T_design_motor)) for seat in blueprint.seats]
     else:
-        found += [(h.parent, motor_moments(catalogue.motor, _frame(h.position, h.axis))) for h in blueprint.hinges]
+        found += [
+            (h.parent, motor_moments(catalogue.motor, motor_pose(h.position, h.axis, 0.0))) for h in blueprint.hinges
+        ]
     masses = {"battery": catalogue.battery.mass, "controller": catalogue.computer.mass}
     if blueprint.boxes:
         found += [(seat.body, box_moments(masses[seat.kind], seat.size, seat.T_design_box)) for seat in blueprint.boxes]
@@ -197,7 +204,8 @@ def _wire_moments(wire: WireRun, blueprint: Blueprint) -> list[tuple[int, Moment
 def _of_simplices(corners: NDArray[np.float64], mass: NDArray[np.float64], count: int, weight: float) -> Moments:
     """Uniform simplices with the given corners (n, k, 3); a tetrahedron's fourth corner is the origin."""
     centre = corners.sum(1)
-    second = np.einsum("i,ija,ijb->ab", mass, corners, corners) + np.einsum("i,ia,ib->ab", mass, centre, centre)
+    weighted = (mass[:, None, None] * corners).reshape(-1, 3)
+    second = corners.reshape(-1, 3).T @ weighted + centre.T @ (mass[:, None] * centre)
     return Moments(float(mass.sum()), (mass @ centre) / count, second * weight)
 
 
@@ -211,14 +219,3 @@ def _at(mass: float, spread: NDArray[np.float64], pose: Transform) -> Moments:
     """A body with covariance `spread` (mean of x x^T) in its own centred frame."""
     turn, centre = pose[:3, :3], pose[:3, 3]
     return Moments(mass, mass * centre, mass * (turn @ spread @ turn.T + np.outer(centre, centre)))
-
-
-def _frame(position: Sequence[float] | NDArray[np.float64], axis: NDArray[np.float64]) -> Transform:
-    """A frame at `position` with z along `axis`."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(helper, axis)
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([x, np.cross(axis, x), axis], axis=1)
-    pose[:3, 3] = position
-    return pose
