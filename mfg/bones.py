@@ -78,8 +78,10 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) ->
     low = np.array([s.start for s in filled])
     crop = np.pad(occupied[filled], PAD)
     depth = ndimage.distance_transform_edt(crop) - ndimage.distance_transform_edt(~crop)
-    depth = depth - np.where(crop, 0.5, -0.5)
-    depth = ndimage.gaussian_filter(depth, smoothing, mode="nearest", truncate=3.0).astype(np.float32)
+    depth = (depth - np.where(crop, 0.5, -0.5)).astype(np.float32)
+    rounded = ndimage.gaussian_filter(depth, smoothing, mode="nearest", truncate=3.0)
+    # Only the surface needs rounding; deep inside, smoothing would flatten the ridge where clearance is measured.
+    depth += np.clip((3.0 - np.abs(depth)) / 1.5, 0.0, 1.0) * (rounded - depth)
     for axis in range(3):
         depth = _halved(depth, axis)
     target = int(crop.sum()) * 8  # Samples per voxel on the fine lattice.

@@ -12,7 +12,7 @@ from mfg.blueprint import Blueprint, Hinge, MotorSeat
 from mfg.fields import Field, coverage
 from mfg.mounts import Mount, envelope_depth, motor_pose, mount_of
 from mfg.outcome import Failure, Reason, Stage
-from mfg.scores import body_install_score, body_overlap, motor_score
+from mfg.scores import body_install_score, body_overlap, motor_score, mount_balance
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class MotorSolver:
         """S(delta) = 1[V_h >= tau, V_c >= tau] g(delta) (paper Eq. 2)."""
         if V_h < self.min_overlap or V_c < self.min_overlap:
             return 0.0
-        return balance(V_h, V_c, self.alpha)
+        return mount_balance(V_h, V_c, self.alpha)
 
     def _overlaps(
         self, bone: Field, hinge: Hinge, mount: Mount, offsets: NDArray[np.float64], part: str
@@ -130,11 +130,6 @@ class MotorSolver:
         inside = coverage(bone.sample(points), width).astype(np.float64)
         cell = radius * width * (2 * np.pi / self.angle_steps)
         return np.einsum("hra,r->h", inside, cell)
-
-
-def balance(V_h: float, V_c: float, alpha: float) -> float:
-    """g = sqrt(V_h V_c) + alpha (V_h + V_c), volumes in [m3] (paper Eq. 3)."""
-    return math.sqrt(V_h * V_c) + alpha * (V_h + V_c)
 
 
 def envelopes_meet(T_a: NDArray[np.float64], T_b: NDArray[np.float64], mount: Mount, gap: float) -> bool:

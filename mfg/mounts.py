@@ -16,6 +16,7 @@ towards the output face.
 
 from __future__ import annotations
 
+import atexit
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -213,3 +214,9 @@ def _ring(pattern: ScrewPattern, radius: float, low: float, high: float) -> list
         holes.append(cylinder(radius, low, high, 16).moved(T))
     return holes
 
+
+@atexit.register
+def _forget() -> None:
+    """Drop the cached solids before the interpreter ends: the mesh kernel reports objects that outlive it."""
+    for make in (housing, holder, connector, holder_keepout, connector_keepout, cavity, envelope):
+        make.cache_clear()

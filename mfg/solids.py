@@ -31,8 +31,8 @@ class Solid:
 
     @cached_property
     def _kernel(self) -> m3.Manifold:
-        solid = m3.Manifold(m3.Mesh64(np.ascontiguousarray(self.vertices, np.float64),
-                                      np.ascontiguousarray(self.triangles, np.uint64)))  # fmt: skip
+        # Copies: the kernel refuses read-only arrays.
+        solid = m3.Manifold(m3.Mesh64(np.array(self.vertices, np.float64), np.array(self.triangles, np.uint64)))
         if solid.status() != m3.Error.NoError:
             raise ValueError(f"mesh of {len(self.triangles)} triangles is not a solid: {solid.status()}")
         return solid

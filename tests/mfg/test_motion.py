@@ -1,0 +1,97 @@
+"""Motion: the cylindrical shortcuts agree with turning the bodies and intersecting them exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from decoder.design import VoxelDesign
+from mfg.blueprint import Blueprint, Hinge
+from mfg.bones import BoneSolver
+from mfg.motion import MotionSolver, _CylindricalPair, _running_maximum
+from mfg.outcome import Failure, Reason, Stage
+from mfg.parts import PAPER
+from mfg.skeleton import SkeletonSolver
+from mfg.solids import from_field
+
+
+def boned(design: VoxelDesign) -> Blueprint:
+    blueprint = Blueprint(design, PAPER)
+    for solver in (SkeletonSolver(), BoneSolver()):
+        answer = solver.solve(blueprint)
+        assert isinstance(answer, Blueprint), answer
+        blueprint = answer
+    return blueprint
+
+
+def turned(hinge: Hinge, angle: float) -> NDArray[np.float64]:
+    """Rigid motion of the child when its joint stands at `angle` (Rodrigues)."""
+    a = hinge.axis
+    K = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    T[:3, 3] = hinge.position - T[:3, :3] @ hinge.position
+    return T
+
+
+def test_interference_equals_the_exact_boolean(elbow: VoxelDesign) -> None:
+    blueprint = boned(elbow)
+    theta, hinge = MotionSolver(), blueprint.hinges[0]
+    parent, child = (blueprint.bodies[i].bone for i in (hinge.parent, hinge.body))
+    pair = _CylindricalPair.sample(parent, child, hinge, theta)
+    assert pair is not None
+    curve = pair.interference()
+    P, C = from_field(parent), from_field(child)
+    for k in (0, 10, -12, 18, 24, -30):
+        exact = P.overlap(C.moved(turned(hinge, k * pair.step)))
+        assert curve[k] == pytest.approx(exact, abs=max(0.05 * exact, 1.5e-6)), k
+    assert curve.max() > 2e-5  # The elbow really folds into itself, so the test can fail.
+
+
+def test_the_carved_pair_turns_freely(elbow: VoxelDesign) -> None:
+    blueprint = boned(elbow)
+    before = [b.bone.volume() for b in blueprint.bodies]
+    solved = MotionSolver().solve(blueprint)
+    assert isinstance(solved, Blueprint)
+    hinge = solved.hinges[0]
+    P, C = (from_field(solved.bodies[i].bone) for i in (hinge.parent, hinge.body))
+    for angle in np.linspace(*hinge.range, 9):
+        assert P.overlap(C.moved(turned(hinge, angle))) < 1e-8
+    after = [b.bone.volume() for b in solved.bodies]
+    assert after[hinge.body] == before[hinge.body]
+    assert after[hinge.parent] <= before[hinge.parent]
+
+
+def test_range_only_ever_narrows_and_keeps_the_rest_pose(elbow: VoxelDesign) -> None:
+    blueprint = boned(elbow)
+    solved = MotionSolver().solve(blueprint)
+    assert isinstance(solved, Blueprint)
+    wanted, got = blueprint.hinges[0].range, solved.hinges[0].range
+    assert wanted[0] <= got[0] <= 0 <= got[1] <= wanted[1]
+
+
+def test_a_blocked_joint_is_a_motor_failure(elbow: VoxelDesign) -> None:
+    failure = replace(MotionSolver(), max_interference=1e-9, min_range=2.2).solve(boned(elbow))
+    assert isinstance(failure, Failure)
+    assert (failure.stage, failure.reason) == (Stage.MOTOR, Reason.NO_MOTION)
+    assert "joint_1" in failure.detail
+
+
+@pytest.mark.parametrize(("ahead", "behind"), [(0, 0), (1, 0), (0, 3), (4, 2), (7, 8), (20, 30)])
+def test_running_maximum_equals_the_definition(ahead: int, behind: int) -> None:
+    values = np.random.default_rng(3).normal(size=(2, 24, 3)).astype(np.float32)
+    got = _running_maximum(values, ahead, behind)
+    for k in range(24):
+        window = [(k + d) % 24 for d in range(-ahead, behind + 1)]
+        np.testing.assert_array_equal(got[:, k], values[:, window].max(axis=1))
+
+
+def test_bones_never_overlap_at_rest(elbow: VoxelDesign) -> None:
+    blueprint = boned(elbow)
+    a, b = (from_field(body.bone) for body in blueprint.bodies)
+    assert a.overlap(b) == 0.0
+    assert ndimage.label(blueprint.bodies[0].bone.values > 0)[1] == 1
