@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cma
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from mfg.description import Description
 from sim.actor import Gait
-from sim.model import Drive, body_length, drive_of
-from sim.rollout import Behaviour, Diverged, as_model, measure, model_name, roll_out, settle
+from sim.model import Drive, Model, body_length, drive_of, model_name
+from sim.rollout import Behaviour, Diverged, as_model, measure, roll_out, settle
 
 FREQUENCY = (0.4, 2.0)  # of a gait [Hz]
 MARGIN = 0.05  # share of a joint's range that is kept free at each end: slamming into a stop breaks prints
@@ -102,9 +101,7 @@ class _Trial:
     behaviour: Behaviour | None
 
 
-def search_gait(
-    robot: Description | mujoco.MjModel, rng: np.random.Generator, budget: GaitBudget = SCREENING
-) -> GaitResult:
+def search_gait(robot: Description | Model, rng: np.random.Generator, budget: GaitBudget = SCREENING) -> GaitResult:
     """Search the gait that moves a robot best; the same `rng` gives the same bytes.
 
     A gait is 3 n + 1 numbers: one frequency, and for each joint an amplitude, a phase and an offset within its range.
@@ -122,7 +119,7 @@ def search_gait(
 
 
 def refine(
-    robot: Description | mujoco.MjModel, gait: Gait, rng: np.random.Generator, budget: GaitBudget = THOROUGH
+    robot: Description | Model, gait: Gait, rng: np.random.Generator, budget: GaitBudget = THOROUGH
 ) -> GaitResult:
     """Go on from a known gait, on another model of the same robot for example; half of the random gaits restart.
 
@@ -132,7 +129,8 @@ def refine(
     """
     race = _Race(as_model(robot))
     if gait.num_joints != race.model.nu:
-        raise ValueError(f"the gait drives {gait.num_joints} joints, robot {model_name(race.model)} has {race.model.nu}")
+        name, n = model_name(race.model), race.model.nu
+        raise ValueError(f"the gait drives {gait.num_joints} joints, robot {name} has {n}")
     known = encode(race.drive, gait)
     near = known + 0.5 * STEP * rng.standard_normal((budget.random // 2, known.size))
     points = np.concatenate([known[None], near, random_points(race.drive, budget.random // 2, rng)])
@@ -196,7 +194,7 @@ def random_points(drive: Drive, count: int, rng: np.random.Generator) -> NDArray
 class _Race:
     """One robot, settled once, on which many points are tried."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: Model) -> None:
         self.model = model
         self.drive = drive_of(model)
         self.start = settle(model)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -22,6 +23,8 @@ WIRE_STIFFNESS_STEP = 1.0  # the least change of kp on the wire [N.m/rad]
 WIRE_DAMPING_STEP = 0.2  # the least change of kd on the wire [N.m.s/rad]
 IMU = "imu"  # name of the site that carries the IMU
 FLOOR = "floor"  # name of the ground plane
+
+Model: TypeAlias = mujoco.MjModel
 
 # Places in a dcmotor's gain parameters (MuJoCo 4.0).
 RESISTANCE, MOTOR_CONSTANT, STIFFNESS, DAMPING, VOLTAGE = 0, 1, 4, 6, 7
@@ -50,7 +53,7 @@ class Drive:
     continuous_torque: NDArray[np.float64]
 
 
-def compile_model(description: Description, *, timestep: float = TIMESTEP) -> mujoco.MjModel:
+def compile_model(description: Description, *, timestep: float = TIMESTEP) -> Model:
     """Build the model of a robot on a floor: x forward, y left, z up, the root above the origin.
 
     Each link has its described mass, centre and inertia and one massless convex hull, which touches the floor only.
@@ -60,6 +63,15 @@ def compile_model(description: Description, *, timestep: float = TIMESTEP) -> mu
     Raises:
         ValueError: if there is no joint, or a link's mass, inertia or hull is not that of a body.
     """
+    spec = make_spec(description, timestep=timestep)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ValueError(f"robot {description.name} is no model: {_first_line(error)}") from None
+
+
+def make_spec(description: Description, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
+    """The specification behind `compile_model`, which can still be edited."""
     if not description.joints:
         raise ValueError(f"robot {description.name} has no joint to drive; it needs at least one")
     spec = mujoco.MjSpec()
@@ -91,13 +103,10 @@ def compile_model(description: Description, *, timestep: float = TIMESTEP) -> mu
     bodies[description.imu_link].add_site(name=IMU, pos=description.T_link_imu[:3, 3], quat=quaternion)
     for joint in description.joints:
         add_motor(spec, joint.name, joint.motor, timestep)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise ValueError(f"robot {description.name} is no model: {_first_line(error)}") from None
+    return spec
 
 
-def load_model(path: Path | str, *, timestep: float = TIMESTEP) -> mujoco.MjModel:
+def load_model(path: Path | str, *, timestep: float = TIMESTEP) -> Model:
     """Read a robot from an MJCF file into the same world as `compile_model`: floor, contact law and integrator.
 
     Raises:
@@ -154,7 +163,7 @@ def quantised(value: float, step: float) -> float:
     return math.floor(value / step + 1e-9) * step
 
 
-def drive_of(model: mujoco.MjModel) -> Drive:
+def drive_of(model: Model) -> Drive:
     """Find what drives a model; the order is that of its controls."""
     joints = model.actuator_trnid[:, 0]
     peak = model.actuator_forcerange[:, 1]
@@ -169,7 +178,12 @@ def drive_of(model: mujoco.MjModel) -> Drive:
     )
 
 
-def body_length(model: mujoco.MjModel) -> float:
+def model_name(model: Model) -> str:
+    """The name a model was compiled under."""
+    return bytes(model.names).split(b"\0", 1)[0].decode()
+
+
+def body_length(model: Model) -> float:
     """Greatest distance between any two points of the robot's hulls at rest [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -178,7 +192,7 @@ def body_length(model: mujoco.MjModel) -> float:
     return float(np.sqrt((gap**2).sum(-1).max()))
 
 
-def hulls(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, NDArray[np.float64]]]:
+def hulls(model: Model, data: mujoco.MjData) -> list[tuple[int, NDArray[np.float64]]]:
     """(body, vertices (n, 3) in the world [m]) of every mesh of the robot in the pose of `data`."""
     found = []
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mfg.description import Description
 from sim.actor import Gait
-from sim.model import body_length, compile_model, drive_of
+from sim.model import Model, body_length, compile_model, drive_of, model_name
 
 CONTROL_PERIOD = 0.02  # targets change at 50 Hz [s]
 SETTLE = 1.0  # the robot drops onto the floor and stands still before any gait [s]
@@ -105,12 +105,12 @@ class Behaviour:
         }
 
 
-def as_model(robot: Description | mujoco.MjModel) -> mujoco.MjModel:
+def as_model(robot: Description | Model) -> Model:
     """The model of a described robot; a model stays as it is."""
     return compile_model(robot) if isinstance(robot, Description) else robot
 
 
-def simulate(robot: Description | mujoco.MjModel, gait: Gait, seconds: float = 10.0) -> Behaviour:
+def simulate(robot: Description | Model, gait: Gait, seconds: float = 10.0) -> Behaviour:
     """Let a robot stand, fade a gait in, and measure `seconds` of it.
 
     Raises:
@@ -124,7 +124,7 @@ def simulate(robot: Description | mujoco.MjModel, gait: Gait, seconds: float = 1
     return behaviour
 
 
-def settle(model: mujoco.MjModel) -> NDArray[np.float64]:
+def settle(model: Model) -> NDArray[np.float64]:
     """Drop the robot onto the floor in its pose at rest and wait; gives the full state, (nstate,)."""
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=_steps(model, SETTLE))
@@ -135,7 +135,7 @@ def settle(model: mujoco.MjModel) -> NDArray[np.float64]:
 
 
 def roll_out(
-    model: mujoco.MjModel,
+    model: Model,
     gaits: Sequence[Gait],
     seconds: float,
     start: NDArray[np.float64] | None = None,
@@ -146,8 +146,9 @@ def roll_out(
     Raises:
         ValueError: if there is no gait, or one for another number of joints.
     """
-    if not gaits or any(gait.num_joints != model.nu for gait in gaits):
-        raise ValueError(f"gaits drive {[g.num_joints for g in gaits]} joints, robot {model_name(model)} has {model.nu}")
+    counts = [gait.num_joints for gait in gaits]
+    if set(counts) != {model.nu}:
+        raise ValueError(f"the gaits drive {counts} joints, robot {model_name(model)} has {model.nu}")
     start = settle(model) if start is None else start
     lead, length = round(LEAD_IN / CONTROL_PERIOD), max(1, round(seconds / CONTROL_PERIOD))
     at = np.arange(lead + length) * CONTROL_PERIOD
@@ -180,7 +181,7 @@ def roll_out(
     )  # fmt: skip
 
 
-def measure(model: mujoco.MjModel, rollouts: Rollouts, length: float | None = None) -> list[Behaviour | None]:
+def measure(model: Model, rollouts: Rollouts, length: float | None = None) -> list[Behaviour | None]:
     """Judge every rollout; None where the physics exploded.
 
     Args:
@@ -231,11 +232,6 @@ def body_velocity(com: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray
     return np.array([forward.sum(), left.sum()]) / (steps * CONTROL_PERIOD)
 
 
-def model_name(model: mujoco.MjModel) -> str:
-    """The name a model was compiled under."""
-    return bytes(model.names).split(b"\0", 1)[0].decode()
-
-
 def _turned(
     standing: NDArray[np.float64], quaternion: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -255,11 +251,11 @@ def _turned(
     return up, yaw
 
 
-def _quaternion(model: mujoco.MjModel) -> slice:
+def _quaternion(model: Model) -> slice:
     """Place of the root's orientation in the full state, which starts with time and qpos."""
     first = 1 + int(model.jnt_qposadr[0]) + 3
     return slice(first, first + 4)
 
 
-def _steps(model: mujoco.MjModel, seconds: float) -> int:
+def _steps(model: Model, seconds: float) -> int:
     return max(1, round(seconds / model.opt.timestep))

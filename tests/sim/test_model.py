@@ -1,0 +1,221 @@
+"""The compiled model is the described robot, and it obeys mechanics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfg.description import Description
+from mfg.parts import J60_6
+from sim.model import (
+    CONTACT_TIME,
+    STALL_OVER_PEAK,
+    ModelError,
+    body_length,
+    compile_model,
+    drive_of,
+    load_model,
+    make_spec,
+    quantised,
+)
+
+
+def passive(model: mujoco.MjModel) -> mujoco.MjModel:
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    return model
+
+
+def test_every_link_keeps_its_mass_centre_and_inertia(quadruped: Description) -> None:
+    model = compile_model(quadruped)
+    assert model.nbody == 1 + len(quadruped.links)
+    for body, link in enumerate(quadruped.links, start=1):
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+        principal = turn.reshape(3, 3)
+        assert_allclose(model.body_mass[body], link.mass)
+        assert_allclose(model.body_ipos[body], link.com, atol=1e-12)
+        assert_allclose(principal @ np.diag(model.body_inertia[body]) @ principal.T, link.inertia, atol=1e-12)
+    assert_allclose(model.body_subtreemass[1], quadruped.mass)
+
+
+def test_every_joint_keeps_its_place_axis_range_and_motor(quadruped: Description) -> None:
+    model = compile_model(quadruped)
+    drive = drive_of(model)
+    assert drive.names == tuple(joint.name for joint in quadruped.joints)
+    for index, joint in enumerate(quadruped.joints):
+        compiled = model.joint(joint.name)
+        body = joint.link + 1
+        assert compiled.bodyid[0] == body
+        assert_allclose(model.body_pos[body], quadruped.links[joint.link].T)
+        assert_allclose(compiled.axis, joint.axis)
+        assert_allclose(drive.range[index], joint.range)
+        assert model.jnt_limited[compiled.id]
+        assert_allclose(model.dof_armature[drive.velocity[index]], joint.motor.armature)
+        assert_allclose(model.dof_frictionloss[drive.velocity[index]], joint.motor.friction)
+        assert_allclose(drive.continuous_torque[index], joint.motor.continuous_torque)
+        assert_allclose(model.actuator_forcerange[index], [-joint.motor.peak_torque, joint.motor.peak_torque])
+        assert_allclose(model.actuator_delay[index], joint.motor.latency)
+
+
+def test_links_touch_the_floor_and_nothing_else(quadruped: Description) -> None:
+    model = compile_model(quadruped)
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.05
+    data.qpos[drive_of(model).position] = [0.9, -0.7, 0.9, -0.7]
+    mujoco.mj_forward(model, data)
+    floor = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    touching = data.contact.geom
+    assert len(touching)
+    assert (np.isin(touching, floor).sum(axis=1) == 1).all()
+    assert_allclose(data.contact.solref[:, 0], CONTACT_TIME)
+
+
+def test_standing_height_puts_the_lowest_point_on_the_floor(quadruped: Description) -> None:
+    model = compile_model(quadruped)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=400)
+    assert_allclose(data.qpos[2], quadruped.standing_height, atol=1e-3)
+
+
+def test_body_length_is_the_greatest_extent(quadruped: Description) -> None:
+    points = np.concatenate([o + link.hull for o, link in zip(quadruped.origins(), quadruped.links, strict=True)])
+    longest = max(float(np.linalg.norm(a - b)) for a in points for b in points)
+    assert_allclose(body_length(compile_model(quadruped)), longest, rtol=1e-6)
+
+
+def test_a_dropped_robot_falls_by_half_g_t_squared(quadruped: Description) -> None:
+    model = passive(compile_model(quadruped, timestep=0.001))
+    data = mujoco.MjData(model)
+    data.qpos[2] = start = 50.0
+    mujoco.mj_step(model, data, nstep=1000)
+    # A stepped integrator falls half a step further than the exact law.
+    assert_allclose(start - data.qpos[2], 0.5 * 9.81 * 1.0**2, rtol=2e-3)
+
+
+def test_a_pendulum_swings_with_its_period(pendulum: Description) -> None:
+    free = replace(J60_6, friction=0.0, armature=0.0)
+    joint = replace(pendulum.joints[0], motor=free)
+    spec = make_spec(replace(pendulum, joints=(joint,)), timestep=0.001)
+    spec.body("root").gravcomp = 1.0  # the root is held up, so that gravity acts on the bob alone
+    model = passive(spec.compile())
+    data = mujoco.MjData(model)
+    data.qpos[7] = amplitude = 0.05
+    crossings = []
+    for _ in range(6000):
+        before = data.qpos[7]
+        mujoco.mj_step(model, data)
+        if before < 0 <= data.qpos[7]:
+            crossings.append(data.time - model.opt.timestep * data.qpos[7] / (data.qpos[7] - before))
+    rod = pendulum.links[1]
+    moment = rod.inertia[1, 1] + rod.mass * 0.15**2
+    exact = 2 * np.pi * np.sqrt(moment / (rod.mass * 9.81 * 0.15)) * (1 + amplitude**2 / 16)
+    assert_allclose(np.diff(crossings).mean(), exact, rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_passive_robot_never_gains_energy(quadruped: Description, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = passive(compile_model(quadruped))
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.4
+    data.qpos[3:7] = rng.standard_normal(4)
+    data.qvel[:6] = rng.standard_normal(6)
+    data.qpos[7:] = rng.uniform(-0.8, 0.8, 4)
+    energy = []
+    for _ in range(750):
+        mujoco.mj_step(model, data)
+        energy.append(data.energy.sum())
+    spare = 0.02 * energy[0]  # springs of contacts and stops store and return a little
+    assert (np.array(energy) <= np.minimum.accumulate(energy) + spare).all()
+    assert energy[-1] < 0.6 * energy[0]
+
+
+def torque_at(model: mujoco.MjModel, speed: float, target: float) -> float:
+    data = mujoco.MjData(model)
+    data.qvel[6] = speed
+    data.ctrl[:] = target
+    mujoco.mj_forward(model, data)
+    return float(data.actuator_force[0])
+
+
+def test_the_motor_gives_its_peak_at_stall_and_nothing_at_its_no_load_speed(pendulum: Description) -> None:
+    prompt = replace(pendulum.joints[0], motor=replace(J60_6, latency=0.0))
+    model = compile_model(replace(pendulum, joints=(prompt,)))
+    far = 100.0  # a target so far away that the motor does all it can
+    assert_allclose(torque_at(model, 0.0, far), J60_6.peak_torque)
+    assert_allclose(torque_at(model, J60_6.max_speed, far), 0.0, atol=1e-9)
+    speed = 0.9 * J60_6.max_speed
+    assert_allclose(torque_at(model, speed, far), 0.1 * STALL_OVER_PEAK * J60_6.peak_torque)
+    assert torque_at(model, 1.2 * J60_6.max_speed, far) < 0
+
+
+def test_within_its_limits_the_motor_is_the_wires_proportional_derivative_law(pendulum: Description) -> None:
+    odd = replace(J60_6, latency=0.0, stiffness=20.9, damping=0.5)
+    model = compile_model(replace(pendulum, joints=(replace(pendulum.joints[0], motor=odd),)))
+    assert_allclose(torque_at(model, 1.5, 0.3), 20.0 * 0.3 - 0.4 * 1.5)
+
+
+def test_gains_are_rounded_down_to_the_wires_steps() -> None:
+    assert quantised(0.5, 0.2) == pytest.approx(0.4)
+    assert quantised(1.6, 0.2) == pytest.approx(1.6)
+    assert quantised(40.0, 1.0) == 40.0
+
+
+def test_a_command_acts_after_the_latency(pendulum: Description) -> None:
+    model = compile_model(pendulum)
+    model.opt.gravity[:] = 0
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 0.5
+    felt = []
+    for _ in range(5):
+        mujoco.mj_step(model, data)
+        felt.append(abs(float(data.actuator_force[0])) > 1.0)
+    assert felt.index(True) == round(J60_6.latency / model.opt.timestep)
+
+
+def test_a_saved_model_loads_as_the_same_robot(quadruped: Description, tmp_path: Path) -> None:
+    spec = make_spec(quadruped)
+    spec.compile()
+    (tmp_path / "robot.xml").write_text(spec.to_xml())
+    model, again = compile_model(quadruped), load_model(tmp_path / "robot.xml")
+    for field in ("body_mass", "body_inertia", "body_pos", "jnt_range", "dof_armature", "actuator_gainprm",
+                  "actuator_forcerange", "actuator_delay", "actuator_user"):  # fmt: skip
+        assert_allclose(getattr(again, field), getattr(model, field), rtol=1e-5, atol=1e-9, err_msg=field)
+    assert again.opt.impratio == model.opt.impratio
+    assert again.opt.cone == model.opt.cone
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("not xml", "not a readable MJCF"),
+        ("<mujoco/>", "0 free joints"),
+        ("<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>", "no actuator"),
+        ("<mujoco><worldbody><body><freejoint/><geom size='1'/><body><joint name='j'/><geom size='1'/></body></body>"
+         "</worldbody><actuator><motor name='m' joint='j'/></actuator></mujoco>", "'m' is not a dcmotor"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_robot_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    with pytest.raises(ModelError, match=message):
+        load_model(path)
+
+
+def test_a_missing_file_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        load_model(tmp_path / "robot.xml")
+
+
+def test_a_robot_without_joints_or_mass_is_refused(quadruped: Description) -> None:
+    with pytest.raises(ValueError, match="no joint to drive"):
+        compile_model(replace(quadruped, joints=()))
+    weightless = replace(quadruped.links[1], mass=0.0, inertia=np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="quadruped is no model"):
+        compile_model(replace(quadruped, links=(quadruped.links[0], weightless, *quadruped.links[2:])))
