@@ -24,6 +24,11 @@ COMMANDS = ("run", "sample", "build", "score", "study", "simulate", "deploy", "r
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
                     "NUMEXPR_NUM_THREADS")  # fmt: skip
 
+# Errors of the library that say what is wrong with a file. By name, so that a command loads no more than it uses.
+BAD_INPUT_ERRORS = frozenset({
+    "decoder.design.DesignError", "sim.actor.BundleError", "sim.model.ModelError", "evo.loop.ResumeError",
+})  # fmt: skip
+
 STORY = """\
 Evolve robots that can be built: a latent vector becomes a body, solvers put motors, electronics and wires into it or
 say why they cannot, a simulator lets it walk, evolution asks for more, and the winner leaves as a folder to print.
@@ -108,10 +113,7 @@ def _is_bad_input(error: BaseException) -> bool:
         return True
     if isinstance(error, sqlite3.DatabaseError):
         return not isinstance(error, (sqlite3.ProgrammingError, sqlite3.IntegrityError))
-    from decoder.design import DesignError
-    from sim.actor import BundleError
-
-    return isinstance(error, (DesignError, BundleError))
+    return any(f"{kind.__module__}.{kind.__qualname__}" in BAD_INPUT_ERRORS for kind in type(error).__mro__)
 
 
 def _one_line(error: BaseException) -> str:

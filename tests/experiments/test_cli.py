@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sqlite3
 import subprocess
@@ -48,7 +49,7 @@ def test_help_names_every_command_and_says_what_it_does(bodyplan):
 def test_every_command_explains_each_of_its_arguments(bodyplan):
     for name in COMMANDS:
         parser = argparse.ArgumentParser()
-        module = __import__(f"experiments.{name}", fromlist=["configure"])
+        module = importlib.import_module(f"experiments.{name}")
         module.configure(parser)
         assert all(action.help for action in parser._actions), name
         said = bodyplan(name, "--help")
@@ -114,6 +115,12 @@ def test_a_defect_of_the_program_is_not_passed_off_as_bad_input(bodyplan, doctor
     doctor_that(raising(error))
     with pytest.raises(type(error)):
         bodyplan("doctor")
+
+
+def test_the_names_of_bad_input_errors_are_names_of_errors():
+    for name in cli.BAD_INPUT_ERRORS:
+        module, _, kind = name.rpartition(".")
+        assert issubclass(getattr(importlib.import_module(module), kind), ValueError)
 
 
 def test_an_interruption_is_status_3(bodyplan, doctor_that):

@@ -1,0 +1,266 @@
+"""`make bench`: one table of what each part costs, ratios within one run, and the same as JSON.
+
+Every figure is a median or a rate of this run on this machine. Ratios compare two ways to the same answer, measured
+within seconds of each other, so they hold on other machines too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.cli import VERSION
+from experiments.output import count, make_folder, progress, say
+
+if TYPE_CHECKING:
+    from decoder.design import VoxelDesign
+    from evo.evaluation import Evaluation
+    from mfg.pipeline import Outcome
+
+SEED = 0
+DECODE, SCORE, BUILD, BARE = 0.1, 0.15, 0.7, 0.95  # goals of the design, on two cores: [s], [s], [s], ratio
+HELP_TIME = 0.5  # goal [s]
+GAITS, GAIT_SECONDS, REPEATS = 16, 4.0, 3  # of the comparison with the bare simulator
+MIB = 2**20
+
+Row = dict[str, Any]  # {"what", "value", "unit", "goal": text or None, "note": text or None}
+
+
+def main() -> int:
+    """Measure everything, print the table, write bench.json and bench.md."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
+    parser.add_argument("-n", type=count, default=30, help="designs (30)")
+    parser.add_argument("--evaluations", type=count, default=24, help="evaluations per number of workers (24)")
+    parser.add_argument("--out", type=Path, required=True, help="folder for bench.json and bench.md")
+    args = parser.parse_args()
+    folder = make_folder(args.out)
+    rows: list[Row] = []
+    for section in (lambda: designs(args.n), motor_scan, simulator, lambda: workers(args.evaluations), start, memory):
+        for row in section():
+            say(line(row))
+            rows.append(row)
+    result = {"bodyplan": VERSION, "machine": machine(), "seed": SEED, "designs": args.n, "rows": rows}
+    (folder / "bench.json").write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    table = markdown(rows)
+    (folder / "bench.md").write_text(f"{machine()}\n\n{table}", "utf-8")
+    print(table)
+    return 0
+
+
+def designs(n: int) -> Iterator[Row]:
+    """Seconds per design for decode, score and build, split by stage."""
+    import numpy as np
+
+    from decoder.latent import make_decoder, sample_latents
+    from mfg.export import write_blueprint
+    from mfg.pipeline import build, score
+
+    decoder = make_decoder("genome")
+    latents = sample_latents(n + 1, np.random.default_rng(SEED))
+    bodies: list[VoxelDesign] = []
+    decode = [clock(lambda z=z: bodies.extend(decoder.decode(z[None]))) for z in latents]
+    score(bodies[0])  # Warms caches that every process fills once.
+    scored = [timed(score, body) for body in progress(bodies[1:], n, "score")]
+    yield row("decode", statistics.median(decode[1:]), "s/design", f"<= {DECODE}")
+    yield row("score, any design", statistics.median(t for t, _ in scored), "s/design", f"<= {SCORE}")
+    passed = [(t, o) for t, o in scored if o.ok]
+    yield row("score, design that passes", statistics.median(t for t, _ in passed), "s/design")
+    yield from stages("score", [o for _, o in passed])
+    built = [timed(build, o.design) for _, o in progress(passed, len(passed), "build")]
+    yield row("build, design that passes", statistics.median(t for t, _ in built), "s/design", f"<= {BUILD}")
+    yield from stages("build", [o for _, o in built], only=("finish",))
+    with tempfile.TemporaryDirectory() as folder:
+        written = [clock(lambda o=o: write_blueprint(o, Path(folder) / o.design.key)) for _, o in built if o.ok]
+    yield row("write blueprint folder", statistics.median(written), "s/design")
+    agree = sum(o.ok for _, o in built)
+    yield row("passes of score that build confirms", agree / len(built), "", note=f"{agree} of {len(built)}")
+
+
+def stages(name: str, outcomes: list[Outcome], only: tuple[str, ...] = ()) -> Iterator[Row]:
+    """The median of every stage."""
+    for stage in outcomes[0].seconds:
+        if not only or stage in only:
+            seconds = [o.seconds[stage] for o in outcomes if stage in o.seconds]
+            yield row(f"- {name}: {stage}", statistics.median(seconds), "s/design")
+
+
+def motor_scan() -> Iterator[Row]:
+    """The scan over offsets on sampled fields against the plain way, one exact boolean per offset and part."""
+    from mfg import solids
+    from mfg.blueprint import Blueprint
+    from mfg.motors import MotorSolver
+    from mfg.mounts import connector, holder, motor_pose, mount_of
+    from mfg.parts import PAPER
+    from mfg.pipeline import SCORING, run
+
+    solver = MotorSolver()
+    before = SCORING[: next(i for i, s in enumerate(SCORING) if isinstance(s, MotorSolver))]
+    body = next(b for b in random_designs() if run((*before, solver), Blueprint(b, PAPER)).ok)
+    blueprint = run(before, Blueprint(body, PAPER)).blueprint
+    mount = mount_of(PAPER.motor)
+    shapes = (holder(mount), connector(mount))
+    bones = [solids.from_field(b.bone) for b in blueprint.bodies]
+
+    def naive() -> list[float]:
+        return [
+            bones[index].overlap(shape.moved(motor_pose(hinge.position, hinge.axis, float(offset))))
+            for hinge in blueprint.hinges
+            for pair in ((hinge.parent, hinge.body), (hinge.body, hinge.parent))
+            for index, shape in zip(pair, shapes, strict=True)
+            for offset in solver.offsets()
+        ]
+
+    fast = statistics.median(clock(lambda: solver.solve(blueprint)) for _ in range(5))
+    slow = clock(naive)
+    joints = len(blueprint.hinges)
+    yield row("motor scan", fast / joints, "s/joint", note=f"{len(solver.offsets())} offsets x 2 assignments")
+    yield row("motor scan by exact booleans", slow / joints, "s/joint")
+    yield row("motor scan: times faster", slow / fast, "x")
+
+
+def simulator() -> Iterator[Row]:
+    """Physics steps per second of our batched rollouts against a bare loop over mj_step on the same model."""
+    import mujoco
+    import numpy as np
+
+    from mfg.description import describe
+    from mfg.pipeline import score
+    from sim.gaits import decode, random_points
+    from sim.model import compile_model, drive_of
+    from sim.rollout import CONTROL_PERIOD, roll_out, settle
+
+    outcome = next(o for o in map(score, random_designs()) if o.ok)
+    model = compile_model(describe(outcome.blueprint))
+    drive = drive_of(model)
+    gaits = [decode(drive, point) for point in random_points(drive, GAITS, np.random.default_rng(SEED))]
+    start = settle(model)
+    substeps = round(CONTROL_PERIOD / model.opt.timestep)
+    ticks = round(GAIT_SECONDS / CONTROL_PERIOD)
+    data = mujoco.MjData(model)
+    targets = [[gait.targets(k * CONTROL_PERIOD) for k in range(ticks)] for gait in gaits]
+
+    def bare() -> None:
+        for orders in targets:
+            mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_INTEGRATION)
+            for order in orders:
+                data.ctrl[:] = order
+                mujoco.mj_step(model, data, substeps)
+
+    ours, theirs = [], []
+    for _ in range(REPEATS):  # In turns, so that a busy moment of the machine meets both.
+        seconds = clock(bare)
+        theirs.append(GAITS * ticks * substeps / seconds)
+        ours.append(roll_out(model, gaits, GAIT_SECONDS, start).steps_per_s)
+    yield row("simulator, one thread", statistics.median(ours), "steps/s", note=f"{model.nu} joints")
+    yield row("bare mj_step, same model and gaits", statistics.median(theirs), "steps/s")
+    yield row("simulator against bare", statistics.median(ours) / statistics.median(theirs), "x", f">= {BARE}")
+
+
+def workers(n: int) -> Iterator[Row]:
+    """Evaluations (decode, score, gait) per second with 1 and with 2 worker processes."""
+    import numpy as np
+
+    from decoder.latent import sample_latents
+    from evo.evaluate import Evaluate
+    from evo.evaluation import Candidate
+    from evo.pool import Pool
+
+    latents = sample_latents(n + 2, np.random.default_rng(SEED))
+    tasks = [Candidate(0, k, latent) for k, latent in enumerate(latents)]
+    rates = []
+    for number in (1, 2):
+        with Pool[Candidate, Evaluation](Evaluate(SEED), number, 300.0) as pool:
+            list(pool.run(tasks[:2]))  # The workers start and warm up.
+            started = time.perf_counter()
+            for _ in progress(pool.run(tasks[2:]), n, f"{number} workers"):
+                pass
+            rates.append(n / (time.perf_counter() - started))
+        yield row(f"evaluations, {number} worker{'s' * (number > 1)}", rates[-1], "1/s")
+    yield row("two workers against one", rates[1] / rates[0], "x")
+
+
+def start() -> Iterator[Row]:
+    """Wall time of `bodyplan --help`."""
+    command = [sys.executable, "-m", "experiments.cli", "--help"]
+    seconds = [clock(lambda: subprocess.run(command, check=True, stdout=subprocess.DEVNULL)) for _ in range(5)]
+    yield row("bodyplan --help", statistics.median(seconds), "s", f"< {HELP_TIME}")
+
+
+def memory() -> Iterator[Row]:
+    """Peak resident memory of this process and of its largest worker."""
+    scale = 1024 if sys.platform != "darwin" else 1  # Linux counts in KiB, macOS in bytes.
+    for name, who in (("this process", resource.RUSAGE_SELF), ("largest worker", resource.RUSAGE_CHILDREN)):
+        yield row(f"peak memory, {name}", resource.getrusage(who).ru_maxrss * scale / MIB, "MiB")
+
+
+def random_designs() -> Iterator[VoxelDesign]:
+    """Bodies from the prior, one after the other."""
+    import numpy as np
+
+    from decoder.latent import make_decoder, sample_latents
+
+    decoder = make_decoder("genome")
+    rng = np.random.default_rng(SEED)
+    while True:
+        yield from decoder.decode(sample_latents(1, rng))
+
+
+def clock(action: Callable[[], object]) -> float:
+    """Seconds of wall time that an action takes."""
+    started = time.perf_counter()
+    action()
+    return time.perf_counter() - started
+
+
+def timed(action: Callable[[VoxelDesign], Outcome], design: VoxelDesign) -> tuple[float, Outcome]:
+    """Seconds of wall time and what came of it."""
+    started = time.perf_counter()
+    outcome = action(design)
+    return time.perf_counter() - started, outcome
+
+
+def row(what: str, value: float, unit: str, goal: str | None = None, note: str | None = None) -> Row:
+    """One line of the table."""
+    return {"what": what, "value": value, "unit": unit, "goal": goal, "note": note}
+
+
+def line(row: Row) -> str:
+    """One line for the terminal."""
+    goal = f"   (goal {row['goal']})" if row["goal"] else ""
+    note = f"   {row['note']}" if row["note"] else ""
+    return f"{row['what']:40s} {row['value']:10.4g} {row['unit']}{goal}{note}"
+
+
+def markdown(rows: list[Row]) -> str:
+    """The table of the README."""
+    lines = ["| what | measured | goal |", "|---|---:|---|"]
+    for r in rows:
+        note = f" ({r['note']})" if r["note"] else ""
+        value = f"{r['value']:.3g}" if r["value"] < 1000 else f"{r['value']:.0f}"
+        lines.append(f"| {r['what']}{note} | {value} {r['unit']} | {r['goal'] or ''} |")
+    return "\n".join(lines) + "\n"
+
+
+def machine() -> str:
+    """What this was measured on."""
+    import os
+
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        name = next((t.split(":")[1].strip() for t in info.read_text().splitlines() if "model name" in t), name)
+    return f"{os.cpu_count()} x {name}, Python {platform.python_version()}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
