@@ -1,0 +1,68 @@
+"""`bodyplan sample`: reproducible designs, one file each, and a picture of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from decoder.design import VoxelDesign
+from decoder.latent import LATENT_DIM, sample_latents
+from experiments import sample
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Pictures are slow; a stamp is enough to see that there is one per body."""
+    monkeypatch.setattr(sample, "PICTURE", (48, 36))
+
+
+def test_a_sample_is_what_its_json_says(bodyplan, tmp_path, small):
+    said = bodyplan("sample", "-n", "3", "--seed", "5", "--out", tmp_path / "s", "--json")
+    assert said.status == 0
+    report = json.loads(said.out)
+    assert report == json.loads((tmp_path / "s" / "sample.json").read_text("utf-8"))
+    assert (report["n"], report["seed"], report["decoder"], report["prior"]) == (3, 5, "genome", "normal")
+    for body in report["bodies"]:
+        design = VoxelDesign.load(tmp_path / "s" / body["file"])
+        assert (design.key, len(design.joints), len(design.segments)) == (
+            body["design"], body["joints"], body["segments"],
+        )  # fmt: skip
+    latents = np.load(tmp_path / "s" / "latents.npy")
+    np.testing.assert_array_equal(latents, sample_latents(3, np.random.default_rng(5)))
+    assert latents.shape == (3, LATENT_DIM)
+    with Image.open(tmp_path / "s" / "sheet.png") as sheet:
+        assert sheet.width >= 3 * 48
+
+
+def keys(folder: Path) -> list[str]:
+    return [VoxelDesign.load(file).key for file in sorted(folder.glob("body_*.npz"))]
+
+
+def test_the_same_seed_draws_the_same_bodies_and_a_larger_sample_begins_with_a_smaller_one(bodyplan, tmp_path, small):
+    for name, n, seed in (("a", 2, 1), ("b", 3, 1), ("c", 2, 2)):
+        assert bodyplan("sample", "-n", n, "--seed", seed, "--out", tmp_path / name).status == 0
+    assert keys(tmp_path / "a") == keys(tmp_path / "b")[:2]
+    assert keys(tmp_path / "a") != keys(tmp_path / "c")
+
+
+def test_the_prior_is_recorded_and_used(bodyplan, tmp_path, small):
+    bodyplan("sample", "-n", "1", "--prior", "uniform", "--out", tmp_path)
+    assert json.loads((tmp_path / "sample.json").read_text("utf-8"))["prior"] == "uniform"
+    assert np.abs(np.load(tmp_path / "latents.npy")).max() <= np.sqrt(3)
+
+
+def test_names_sort_in_the_order_of_drawing(bodyplan, tmp_path, small, monkeypatch):
+    monkeypatch.setattr(sample, "MOST_PICTURES", 1)
+    said = bodyplan("sample", "-n", "11", "--out", tmp_path)
+    assert sorted(p.name for p in tmp_path.glob("body_*.npz"))[-1] == "body_10.npz"
+    assert "the contact sheet shows the first 1" in said.err
+
+
+def test_bodies_of_an_earlier_sample_are_kept_and_pointed_out(bodyplan, tmp_path, small):
+    bodyplan("sample", "-n", "2", "--out", tmp_path)
+    assert "also holds 1 bodies" in bodyplan("sample", "-n", "1", "--out", tmp_path).err
+    assert len(keys(tmp_path)) == 2
