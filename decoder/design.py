@@ -254,7 +254,9 @@ def _check_joints(joints: tuple[Joint, ...], known: set[int], bounds: NDArray[np
             )
         a, b = find(joint.parent), find(joint.child)
         if a == b:
-            raise DesignError(f"joint {index} ({joint.parent}-{joint.child}) closes a loop; remove one joint of the cycle")
+            raise DesignError(
+                f"joint {index} ({joint.parent}-{joint.child}) closes a loop; remove one joint of the cycle"
+            )
         group[a] = b
 
 

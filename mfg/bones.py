@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from decoder.design import Material
 from mfg.blueprint import Blueprint, Body
-from mfg.fields import OUTSIDE, Field, cylinder_depth
+from mfg.fields import OUTSIDE, Field, Window, cylinder_depth, cylindrical
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 
@@ -74,9 +74,8 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) ->
         pitch: edge of a voxel [m].
         smoothing: Gaussian width [voxels].
     """
-    filled = ndimage.find_objects(occupied.astype(np.uint8))[0]
-    low = np.array([s.start for s in filled])
-    crop = np.pad(occupied[filled], PAD)
+    low, window = bounding_window(occupied)
+    crop = np.pad(occupied[window], PAD)
     depth = ndimage.distance_transform_edt(crop) - ndimage.distance_transform_edt(~crop)
     depth = (depth - np.where(crop, 0.5, -0.5)).astype(np.float32)
     rounded = ndimage.gaussian_filter(depth, smoothing, mode="nearest", truncate=3.0)
@@ -90,6 +89,13 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) ->
     # Centre of voxel i is lattice index 2 i + 1; refining keeps the first sample.
     corner = tuple(int(v) for v in 2 * (low - PAD) + 1)
     return Field(np.ascontiguousarray(depth, np.float32), corner, pitch / 2)  # type: ignore[arg-type]
+
+
+def bounding_window(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Window]:
+    """Lowest corner and slices of the box around the true voxels of a grid; at least one must be true."""
+    spans = [np.flatnonzero(occupied.any(axis=tuple(b for b in range(3) if b != a))) for a in range(3)]
+    x, y, z = (slice(int(s[0]), int(s[-1]) + 1) for s in spans)
+    return np.array([x.start, y.start, z.start]), (x, y, z)
 
 
 def separated(field: Field, others: list[Field], gap: float) -> Field:
@@ -106,13 +112,12 @@ def cut_cylinder(
     field: Field, centre: NDArray[np.float64], axis: NDArray[np.float64], radius: float, half_length: float
 ) -> Field:
     """Subtract a cylinder about a joint axis from a field."""
-    region = _window(field, centre, float(np.hypot(radius, half_length)) + 2 * field.spacing)
-    if region is None:
+    window = field.window(centre, float(np.hypot(radius, half_length)) + 2 * field.spacing)
+    if window is None:
         return field
-    points = lattice_points(field, region)
+    depth = cylinder_depth(*cylindrical(field.axes(window), centre, axis), radius, -half_length, half_length)
     values = field.values.copy()
-    depth = cylinder_depth(points, centre, axis, radius, -half_length, half_length)
-    values[region] = np.minimum(values[region], -depth)
+    values[window] = np.minimum(values[window], -depth)
     return field.with_values(values)
 
 
@@ -127,20 +132,6 @@ def largest_piece(field: Field) -> tuple[Field, float]:
     # Also push down the samples just outside a dropped piece's surface, so that no sliver of it is meshed.
     values = np.where(dropped, np.minimum(field.values, -field.spacing), field.values)
     return field.with_values(values), float(1 - sizes[main - 1] / sizes.sum())
-
-
-def lattice_points(field: Field, region: tuple[slice, slice, slice]) -> NDArray[np.float64]:
-    """Positions of the samples in a window of the field [m], (a, b, c, 3)."""
-    axes = [(field.corner[a] + np.arange(s.start, s.stop)) * field.spacing for a, s in enumerate(region)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-
-
-def _window(field: Field, centre: NDArray[np.float64], reach: float) -> tuple[slice, slice, slice] | None:
-    low = np.floor((centre - reach - field.origin) / field.spacing).astype(int).clip(0, field.values.shape)
-    high = np.ceil((centre + reach - field.origin) / field.spacing).astype(int).clip(-1, np.array(field.values.shape) - 1)
-    if (high < low).any():
-        return None
-    return tuple(slice(int(a), int(b) + 1) for a, b in zip(low, high, strict=True))  # type: ignore[return-value]
 
 
 def _halved(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 OUTSIDE = np.float32(-1.0)  # depth far outside [m]
+Window = tuple[slice, slice, slice]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,6 +36,25 @@ class Field:
         """Positions of all samples in the design frame [m], (nx, ny, nz, 3)."""
         axes = [self.origin[a] + np.arange(n) * self.spacing for a, n in enumerate(self.values.shape)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+    def axes(
+        self, window: Window | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Coordinates of the samples in a window along x, y and z [m], shaped to broadcast against each other."""
+        spans = window or tuple(slice(0, n) for n in self.values.shape)
+        x, y, z = (((self.corner[a] + np.arange(s.start, s.stop)) * self.spacing).astype(np.float32)
+                   for a, s in enumerate(spans))  # fmt: skip
+        return x[:, None, None], y[None, :, None], z[None, None, :]
+
+    def window(self, centre: NDArray[np.float64], reach: float) -> Window | None:
+        """The samples within `reach` [m] of a point along every axis, or None where there are none."""
+        low = np.floor((centre - reach - self.origin) / self.spacing).astype(int).clip(0, self.values.shape)
+        high = np.ceil((centre + reach - self.origin) / self.spacing).astype(int) + 1
+        high = high.clip(0, self.values.shape)
+        if (high <= low).any():
+            return None
+        x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        return x, y, z
 
     def sample(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth at points (..., 3) of the design frame [m], trilinear; `OUTSIDE` beyond the lattice."""
@@ -79,15 +99,26 @@ def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:
     return np.clip(depth / np.float32(width) + np.float32(0.5), 0.0, 1.0)
 
 
+def cylindrical(
+    axes: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    centre: NDArray[np.float64],
+    axis: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Distance from an axis and height along it, at every sample of a lattice window given by its `axes` [m]."""
+    x, y, z = (a - np.float32(c) for a, c in zip(axes, centre, strict=True))
+    u, v, w = (np.float32(c) for c in axis)
+    along = x * u + y * v + z * w
+    radial = np.sqrt(np.maximum(x * x + y * y + z * z - along * along, 0))
+    return radial, along
+
+
 def cylinder_depth(
-    points: NDArray[np.float64], centre: NDArray[np.float64], axis: NDArray[np.float64], radius: float,
-    low: float, high: float,
-) -> NDArray[np.float32]:  # fmt: skip
-    """Depth inside a cylinder about `axis` through `centre`, between heights low and high along it [m]."""
-    offset = points - centre
-    along = offset @ axis
-    radial = np.linalg.norm(offset - along[..., None] * axis, axis=-1)
-    return np.minimum(radius - radial, np.minimum(along - low, high - along)).astype(np.float32)
+    radial: NDArray[np.float32], along: NDArray[np.float32], radius: float, low: float, high: float
+) -> NDArray[np.float32]:
+    """Depth inside a cylinder, between heights low and high along its axis [m]."""
+    return np.minimum(
+        np.float32(radius) - radial, np.minimum(along - np.float32(low), np.float32(high) - along)
+    ).astype(np.float32)
 
 
 def box_depth(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body, Hinge
-from mfg.bones import largest_piece, lattice_points
+from mfg.bones import bounding_window, largest_piece
 from mfg.fields import OUTSIDE, Field, coverage
 from mfg.outcome import Failure, Reason, Stage
 
@@ -34,7 +34,7 @@ class MotionSolver:
     min_range: float = 0.35
     gap: float = 1.5e-3
     max_loss: float = 0.15
-    angle_step: float = 2 * np.pi / 96
+    angle_step: float = 2 * np.pi / 80
     radial_step: float = 5e-3
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
@@ -163,32 +163,31 @@ def _carve(
     body: Body, pair: _CylindricalPair, swept: NDArray[np.float32], hinge: Hinge, gap: float
 ) -> tuple[Body, float]:
     field = body.bone
-    whole = tuple(slice(0, n) for n in field.values.shape)
-    solid = np.argwhere(field.values > -2 * field.spacing)
-    if not len(solid):
+    solid = field.values > -2 * field.spacing
+    if not solid.any():
         return body, 1.0
-    low, high = solid.min(0), solid.max(0) + 1
-    whole = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    local = (lattice_points(field, whole) - hinge.position) @ pair.frame.T  # type: ignore[arg-type]
-    radius = np.hypot(local[..., 0], local[..., 1])
-    angle = np.mod(np.arctan2(local[..., 1], local[..., 0]), 2 * np.pi)
+    window = bounding_window(solid)[1]
+    x, y, z = (a - np.float32(c) for a, c in zip(field.axes(window), hinge.position, strict=True))
+    u, v, height = (x * np.float32(e[0]) + y * np.float32(e[1]) + z * np.float32(e[2]) for e in pair.frame)
+    radius = np.hypot(u, v)
+    angle = np.mod(np.arctan2(v, u), np.float32(2 * np.pi))
     wrapped = np.concatenate([swept, swept[:, :1]], axis=1)
     index = np.stack(
         [
             (radius - pair.radius[0]) / (pair.radius[1] - pair.radius[0]),
             angle / pair.step,
-            (local[..., 2] - pair.height[0]) / (pair.height[1] - pair.height[0]),
+            (height - pair.height[0]) / (pair.height[1] - pair.height[0]),
         ]
     )
     inside = ndimage.map_coordinates(wrapped, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
     values = field.values.copy()
-    values[whole] = np.minimum(values[whole], -inside - np.float32(gap))
+    values[window] = np.minimum(values[window], -inside - np.float32(gap))
     bone, lost = largest_piece(field.with_values(values))
     skin = body.skin
     if skin is not None:
         # The skin must not grow into the room that the bone gave up.
         given = np.full(field.values.shape, OUTSIDE, np.float32)
-        given[whole] = inside
+        given[window] = inside
         room = field.with_values(given).on_lattice_of(skin)
         skin = skin.with_values(np.minimum(skin.values, -room - np.float32(gap)))
     return replace(body, bone=bone, skin=skin), lost

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,6 +146,7 @@ def envelopes_meet(T_a: NDArray[np.float64], T_b: NDArray[np.float64], mount: Mo
     return False
 
 
+@lru_cache(maxsize=8)
 def _surface_points(mount: Mount) -> NDArray[np.float64]:
     """Points all over the envelope, rims and faces included, about 4 mm apart: (n, 3), motor frame."""
     angle = np.arange(72) * (2 * np.pi / 72)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.catalogue import Motor, ScrewPattern
+from mfg.fields import cylinder_depth, cylindrical
 from mfg.solids import Solid, cylinder, tube
 
 FIT = 4e-4  # radial gap between housing and cup, a sliding fit in PLA [m]
@@ -128,9 +129,7 @@ def connector_keepout(mount: Mount, reach: float = 0.0) -> Solid:
         mount: the mount.
         reach: length of the insertion shaft above the connector [m].
     """
-    room = cylinder(
-        mount.connector_radius + mount.clearance, mount.holder_top, mount.connector_high + mount.clearance
-    )
+    room = cylinder(mount.connector_radius + mount.clearance, mount.holder_top, mount.connector_high + mount.clearance)
     return room if reach <= 0 else room + cylinder(mount.cavity_radius, mount.holder_top, mount.connector_high + reach)
 
 
@@ -156,32 +155,32 @@ def envelope_depth(
     points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
 ) -> NDArray[np.float32]:
     """Depth inside the envelope grown by `gap`, at points (..., 3) of the design frame [m]."""
-    radial, along = _cylindrical(points, T_design_motor)
-    cup = np.minimum(mount.holder_radius - radial, np.minimum(along - mount.base_low, mount.connector_low - along))
-    disc = np.minimum(
-        mount.connector_radius - radial, np.minimum(along - mount.connector_low, mount.connector_high - along)
-    )
-    return (np.maximum(cup, disc) + gap).astype(np.float32)
+    radial, along = _about(points, T_design_motor)
+    return np.maximum(cup_depth(radial, along, mount), disc_depth(radial, along, mount)) + np.float32(gap)
 
 
 def holder_depth(
     points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
 ) -> NDArray[np.float32]:
     """Depth inside the filled cup (housing included) grown by `gap`, at points of the design frame [m]."""
-    radial, along = _cylindrical(points, T_design_motor)
-    depth = np.minimum(mount.holder_radius - radial, np.minimum(along - mount.base_low, mount.connector_low - along))
-    return (depth + gap).astype(np.float32)
+    return cup_depth(*_about(points, T_design_motor), mount) + np.float32(gap)
 
 
 def connector_depth(
     points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
 ) -> NDArray[np.float32]:
     """Depth inside the connector disc grown by `gap`, at points of the design frame [m]."""
-    radial, along = _cylindrical(points, T_design_motor)
-    depth = np.minimum(
-        mount.connector_radius - radial, np.minimum(along - mount.connector_low, mount.connector_high - along)
-    )
-    return (depth + gap).astype(np.float32)
+    return disc_depth(*_about(points, T_design_motor), mount) + np.float32(gap)
+
+
+def cup_depth(radial: NDArray[np.float32], along: NDArray[np.float32], mount: Mount) -> NDArray[np.float32]:
+    """Depth inside the filled cup, from the distance to the motor axis and the height along it [m]."""
+    return cylinder_depth(radial, along, mount.holder_radius, mount.base_low, mount.connector_low)
+
+
+def disc_depth(radial: NDArray[np.float32], along: NDArray[np.float32], mount: Mount) -> NDArray[np.float32]:
+    """Depth inside the connector disc, from the distance to the motor axis and the height along it [m]."""
+    return cylinder_depth(radial, along, mount.connector_radius, mount.connector_low, mount.connector_high)
 
 
 def motor_pose(position: NDArray[np.float64], axis: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
@@ -196,13 +195,11 @@ def motor_pose(position: NDArray[np.float64], axis: NDArray[np.float64], offset:
     return T
 
 
-def _cylindrical(
+def _about(
     points: NDArray[np.float64], T_design_motor: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    offset = points - T_design_motor[:3, 3]
-    along = offset @ T_design_motor[:3, 2]
-    radial = np.sqrt(np.maximum((offset**2).sum(-1) - along**2, 0.0))
-    return radial, along
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    x, y, z = np.moveaxis(points, -1, 0)
+    return cylindrical((x, y, z), T_design_motor[:3, 3], T_design_motor[:3, 2])
 
 
 def _ring(pattern: ScrewPattern, radius: float, low: float, high: float) -> list[Solid]:

@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body, BoxSeat
-from mfg.bones import lattice_points
-from mfg.fields import Field, box_depth
-from mfg.mounts import Mount, connector_depth, envelope_depth, holder_depth, mount_of
+from mfg.fields import Field, Window, box_depth, cylindrical
+from mfg.mounts import Mount, cup_depth, disc_depth, mount_of
 from mfg.outcome import Failure, Reason, Stage
-
-Window = tuple[slice, slice, slice]
 
 
 @dataclass(frozen=True)
@@ -66,11 +63,11 @@ class PrintabilitySolver:
         for seat in blueprint.seats:
             if index not in (seat.holder, seat.connector):
                 continue
-            depth = holder_depth if seat.holder == index else connector_depth
             window = motor_window(field, seat.T_design_motor, mount)
             if window is None:
                 continue
-            own = depth(lattice_points(field, window), seat.T_design_motor, mount) > 0
+            depth = cup_depth if seat.holder == index else disc_depth
+            own = depth(*about_motor(field, window, seat.T_design_motor), mount) > 0
             if not (pieces[window][own] == main).any():
                 return Failure(
                     Stage.PRINT,
@@ -91,34 +88,35 @@ def with_hardware(blueprint: Blueprint, index: int, mount: Mount, gap: float) ->
         window = motor_window(body.bone, seat.T_design_motor, mount)
         if window is None:
             continue
-        points = lattice_points(body.bone, window)
-        T = seat.T_design_motor
+        radial, along = about_motor(body.bone, window, seat.T_design_motor)
+        cup, disc = cup_depth(radial, along, mount), disc_depth(radial, along, mount)
         if index == seat.holder:
-            cut = connector_depth(points, T, mount, gap)
+            cut = disc
         elif index == seat.connector:
-            cut = holder_depth(points, T, mount, gap)
+            cut = cup
         else:
-            cut = envelope_depth(points, T, mount, gap)
-        values[window] = np.minimum(values[window], -cut)
+            cut = np.maximum(cup, disc)
+        values[window] = np.minimum(values[window], -cut - np.float32(gap))
     for seat in blueprint.seats:
         window = motor_window(body.bone, seat.T_design_motor, mount)
         if window is None or index not in (seat.holder, seat.connector):
             continue
-        depth = holder_depth if index == seat.holder else connector_depth
-        own = depth(lattice_points(body.bone, window), seat.T_design_motor, mount)
+        radial, along = about_motor(body.bone, window, seat.T_design_motor)
+        own = cup_depth(radial, along, mount) if index == seat.holder else disc_depth(radial, along, mount)
         values[window] = np.maximum(values[window], own)
     return body.bone.with_values(values)
 
 
 def motor_window(field: Field, T_design_motor: NDArray[np.float64], mount: Mount) -> Window | None:
     """The samples of a field that a motor's mount can reach, or None."""
-    reach = float(np.hypot(mount.envelope_radius, mount.connector_high)) + 2 * field.spacing
-    centre = (T_design_motor[:3, 3] - field.origin) / field.spacing
-    low = np.floor(centre - reach / field.spacing).astype(int).clip(0, field.values.shape)
-    high = np.ceil(centre + reach / field.spacing).astype(int).clip(-1, np.array(field.values.shape) - 1) + 1
-    if (high <= low).any():
-        return None
-    return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))  # type: ignore[return-value]
+    return field.window(T_design_motor[:3, 3], float(np.hypot(mount.envelope_radius, mount.connector_high)) + 0.01)
+
+
+def about_motor(
+    field: Field, window: Window, T_design_motor: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Distance from the motor's axis and height along it, at the samples of a window [m]."""
+    return cylindrical(field.axes(window), T_design_motor[:3, 3], T_design_motor[:3, 2])
 
 
 def print_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from decoder.design import Material, VoxelDesign
 from mfg.blueprint import Blueprint, Body
-from mfg.bones import cut_cylinder, smooth_field
+from mfg.bones import bounding_window, cut_cylinder, smooth_field
 from mfg.fields import OUTSIDE, Field
 from mfg.mounts import mount_of
 from mfg.outcome import Failure
@@ -76,7 +76,7 @@ class SkinSolver:
         if not soft.any():
             return None
         both = soft | bone
-        window = ndimage.find_objects(both.astype(np.uint8))[0]
+        window = bounding_window(both)[1]
         crop = np.pad(both[window], 3)
         # Opening by a ball through two distance transforms: erode by r, then dilate by r.
         core = ndimage.distance_transform_edt(crop) > self.opening

@@ -15,7 +15,9 @@ def ellipsoid(centre: tuple[float, float, float], radii: tuple[float, float, flo
     return (((CENTRES - centre) / radii) ** 2).sum(-1) < 1.0
 
 
-def painted(bones: list[NDArray[np.bool_]], joints: tuple[Joint, ...], soft: NDArray[np.bool_] | None = None) -> VoxelDesign:
+def painted(
+    bones: list[NDArray[np.bool_]], joints: tuple[Joint, ...], soft: NDArray[np.bool_] | None = None
+) -> VoxelDesign:
     """A design from bone masks (earlier ones win) and an optional soft mask."""
     material = np.zeros((GRID,) * 3, np.uint8)
     segment = np.zeros((GRID,) * 3, np.int16)

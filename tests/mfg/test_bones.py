@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
 from mfg.bones import BoneSolver, cut_cylinder, largest_piece, smooth_field
-from mfg.fields import cylinder_depth
+from mfg.fields import cylinder_depth, cylindrical
 from mfg.mounts import mount_of
 from mfg.parts import J60_6, PAPER
 from mfg.skeleton import SkeletonSolver
@@ -55,7 +55,7 @@ def test_solver_leaves_bones_apart_and_cylinders_empty(creature: VoxelDesign) ->
     for hinge in solved.hinges:
         for index in (hinge.parent, hinge.body):
             field = solved.bodies[index].bone
-            depth = cylinder_depth(field.points(), hinge.position, hinge.axis, radius, -0.08, 0.08)
+            depth = cylinder_depth(*cylindrical(field.axes(), hinge.position, hinge.axis), radius, -0.08, 0.08)
             assert (field.values[depth > 1e-6] <= 0).all()
 
 

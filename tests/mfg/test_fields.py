@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mfg.fields import OUTSIDE, Field, box_depth, coverage, cylinder_depth
+from mfg.fields import OUTSIDE, Field, box_depth, coverage, cylinder_depth, cylindrical
 
 
-def ball(radius: float, corner: tuple[int, int, int] = (-12, -12, -12), size: int = 25, spacing: float = 0.005) -> Field:
+def ball(
+    radius: float, corner: tuple[int, int, int] = (-12, -12, -12), size: int = 25, spacing: float = 0.005
+) -> Field:
     axis = [(corner[a] + np.arange(size)) * spacing for a in range(3)]
     points = np.stack(np.meshgrid(*axis, indexing="ij"), axis=-1)
     return Field((radius - np.linalg.norm(points, axis=-1)).astype(np.float32), corner, spacing)
@@ -45,7 +47,8 @@ def test_centroid_follows_the_body() -> None:
 
 def test_depths_of_primitives() -> None:
     points = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, 0, 0.09], [0.02, 0, 0.02]])
-    depth = cylinder_depth(points, np.zeros(3), np.array([0, 0, 1.0]), 0.03, -0.05, 0.05)
+    x, y, z = points.T
+    depth = cylinder_depth(*cylindrical((x, y, z), np.zeros(3), np.array([0, 0, 1.0])), 0.03, -0.05, 0.05)
     np.testing.assert_allclose(depth, [0.03, -0.02, -0.04, 0.01], atol=1e-7)
     box = box_depth(points, np.eye(4), np.array([0.03, 0.03, 0.05]))
     np.testing.assert_allclose(box, [0.03, -0.02, -0.04, 0.01], atol=1e-7)
