@@ -44,6 +44,7 @@ class CmaEs:
         sigma: float = 1.0,
         mean: NDArray[np.float64] | None = None,
     ) -> None:
+        """Stand before generation 0."""
         if not 2 <= dim <= MAX_DIM:
             raise ValueError(f"dim is {dim}; it must lie in [2, {MAX_DIM}]")
         if popsize < MIN_POPSIZE:
@@ -126,13 +127,13 @@ class CmaEs:
             raise ValueError(f"order has {len(indices)} entries; it must name each of the {self._popsize} latents once")
         if sorted(indices) != list(range(self._popsize)):
             raise ValueError(f"order is {indices}; it must be a permutation of 0 to {self._popsize - 1}")
-        ranks = np.empty(self._popsize)
+        ranks = np.zeros(self._popsize)
         ranks[indices] = np.arange(self._popsize)
         asked, self._asked = self._asked, None
         self._es.tell(asked, ranks.tolist())
 
     def state_digest(self) -> str:
-        """Hash everything the future depends on (16 hex digits of SHA-256): mean, step, covariance, paths, generator."""
+        """Hash everything the future depends on (16 hex digits of SHA-256)."""
         es = self._es
         digest = hashlib.sha256(f"cma-es/{self._dim}/{self._popsize}/{es.countiter}/{self._asked is None}".encode())
         step = es.adapt_sigma

@@ -59,6 +59,9 @@ class FitnessRule:
         return speed
 
 
+DEFAULT_RULE = FitnessRule()
+
+
 def rank_key(fitness: float | None, failure: Failure | None, scores: Scores) -> RankKey:
     """Order anything that was evaluated; smaller is better.
 

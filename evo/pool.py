@@ -65,6 +65,7 @@ class Pool(Generic[Task, Result]):
     """
 
     def __init__(self, work: Callable[[Task], Result], workers: int, timeout: float) -> None:
+        """Start nothing yet: workers start when there is work."""
         if workers < 0:
             raise ValueError(f"workers is {workers}; it must be at least 0")
         if not timeout > 0:
@@ -98,8 +99,8 @@ class Pool(Generic[Task, Result]):
                 worker.process.join()
             worker.process.close()
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Result | Failure]]:
-        """Yield (task, result) as they finish.
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Result | Failure, float]]:
+        """Yield (task, result, seconds of wall time) as they finish.
 
         A task whose work raised, whose worker died or that ran out of time yields a `Failure(Stage.WORKER, ...)` that
         says so. Stopping the iteration early kills what is still running.
@@ -109,7 +110,9 @@ class Pool(Generic[Task, Result]):
         """
         if self._count == 0:
             for task in tasks:
-                yield task, _attempt(self._work, task)
+                started = time.monotonic()
+                result = _attempt(self._work, task)
+                yield task, result, time.monotonic() - started
             return
         waiting = deque(tasks)
         try:
@@ -119,7 +122,7 @@ class Pool(Generic[Task, Result]):
                 if worker.task is not None:
                     self._discard(worker)
 
-    def _supervise(self, waiting: deque[Task]) -> Iterator[tuple[Task, Result | Failure]]:
+    def _supervise(self, waiting: deque[Task]) -> Iterator[tuple[Task, Result | Failure, float]]:
         while waiting or any(worker.task is not None for worker in self._workers):
             busy = sum(worker.task is not None for worker in self._workers)
             while len(self._workers) < min(self._count, busy + len(waiting)):
@@ -131,7 +134,7 @@ class Pool(Generic[Task, Result]):
                 task = worker.task
                 outcome = self._collect(worker)
                 if outcome is not None and task is not None:
-                    yield task, outcome[0]
+                    yield task, outcome[0], time.monotonic() - worker.started
 
     def _start(self) -> _Worker[Task]:
         ours, theirs = _SPAWN.Pipe()

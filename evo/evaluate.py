@@ -1,0 +1,151 @@
+"""Measure one candidate: decode, score, and, if it can be built, find a gait; and the same again on the built twin."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from decoder.design import VoxelDesign
+from decoder.latent import Decoder, make_decoder
+from evo.evaluation import Candidate, Evaluation, Walk
+from evo.fitness import DEFAULT_RULE, FitnessRule
+from mfg import pipeline
+from mfg.catalogue import Catalogue
+from mfg.description import Description, describe
+from mfg.outcome import Failure, Reason, Stage
+from mfg.parts import PAPER
+from sim.gaits import SCREENING, THOROUGH, GaitBudget, GaitResult, refine, search_gait
+from sim.rollout import Diverged
+
+SCREEN, FINAL = 1, 2  # purposes of a candidate's randomness; 0 is the optimiser's
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluate:
+    """Measure a candidate cheaply; a race: only a design that passes every solver is simulated.
+
+    The answer depends on these fields and the candidate alone, so not on who works out what, where or when.
+
+    Attributes:
+        seed: of the run.
+        decoder: name, for `decoder.latent.make_decoder`.
+        rule: how speed and manufacturability make the fitness.
+        budget: of the gait search.
+        catalogue: of parts.
+    """
+
+    seed: int
+    decoder: str = "genome"
+    rule: FitnessRule = DEFAULT_RULE
+    budget: GaitBudget = SCREENING
+    catalogue: Catalogue = PAPER
+
+    def __call__(self, candidate: Candidate) -> Evaluation:
+        """Decode, score without exact solids, and search a gait from nothing."""
+        stages: dict[str, float] = {}
+        with _timed(stages, "decode"):
+            design = decode(self.decoder, candidate)
+        outcome = pipeline.score(design, self.catalogue)
+        stages |= outcome.seconds
+        if not outcome.ok:
+            return Evaluation(candidate, design.key, outcome.scores, outcome.failure, stages=stages)
+        with _timed(stages, "describe"):
+            description = describe(outcome.blueprint)
+        rng = np.random.default_rng(candidate.seed(self.seed, SCREEN))
+        with _timed(stages, "gait"):
+            try:
+                found = search_gait(description, rng, self.budget)
+            except Diverged as error:
+                return _diverged(candidate, outcome, error, stages)
+        return _judged(candidate, outcome, description, found, self.rule, stages)
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateTwin:
+    """Measure a candidate that was evaluated before, built in full, with its own gait as the start.
+
+    Attributes:
+        seed: of the run.
+        decoder: name, for `decoder.latent.make_decoder`.
+        rule: how speed and manufacturability make the fitness.
+        budget: of the gait search; its last measurement decides whether the body walks.
+        catalogue: of parts.
+    """
+
+    seed: int
+    decoder: str = "genome"
+    rule: FitnessRule = DEFAULT_RULE
+    budget: GaitBudget = THOROUGH
+    catalogue: Catalogue = PAPER
+
+    def __call__(self, screened: Evaluation) -> Evaluation:
+        """Decode, build exact solids, and refine the gait on the twin.
+
+        Raises:
+            ValueError: if the candidate was never simulated.
+        """
+        candidate = screened.candidate
+        if screened.walk is None:
+            raise ValueError(f"candidate {candidate.index} of generation {candidate.generation} has no gait to refine")
+        stages: dict[str, float] = {}
+        with _timed(stages, "decode"):
+            design = decode(self.decoder, candidate)
+        outcome = pipeline.build(design, self.catalogue)
+        stages |= outcome.seconds
+        if not outcome.ok:
+            return Evaluation(candidate, design.key, outcome.scores, outcome.failure, stages=stages)
+        with _timed(stages, "describe"):
+            twin = describe(outcome.blueprint)
+        rng = np.random.default_rng(candidate.seed(self.seed, FINAL))
+        with _timed(stages, "gait"):
+            try:
+                found = refine(twin, screened.walk.gait, rng, self.budget)
+            except Diverged as error:
+                return _diverged(candidate, outcome, error, stages)
+        return _judged(candidate, outcome, twin, found, self.rule, stages)
+
+
+def decode(decoder: str, candidate: Candidate) -> VoxelDesign:
+    """The candidate's design."""
+    return _decoder(decoder).decode(candidate.latent[None])[0]
+
+
+@functools.cache
+def _decoder(name: str) -> Decoder:
+    """Each process makes a decoder once."""
+    return make_decoder(name)
+
+
+def _judged(
+    candidate: Candidate, outcome: pipeline.Outcome, description: Description, found: GaitResult, rule: FitnessRule,
+    stages: Mapping[str, float],
+) -> Evaluation:  # fmt: skip
+    behaviour = found.behaviour
+    walk = Walk(
+        found.gait, found.score, behaviour.speed, behaviour.heading, behaviour.distance, behaviour.seconds,
+        behaviour.body_length, description.mass,
+    )  # fmt: skip
+    fitness = rule.fitness(walk.task, outcome.scores)
+    return Evaluation(candidate, outcome.design.key, outcome.scores, None, walk, fitness, stages)
+
+
+def _diverged(
+    candidate: Candidate, outcome: pipeline.Outcome, error: Diverged, stages: Mapping[str, float]
+) -> Evaluation:
+    """Physics that explodes says nothing about the body, so it is a lost measurement and not a slow robot."""
+    failure = Failure(Stage.WORKER, Reason.CRASHED, str(error))
+    return Evaluation(candidate, outcome.design.key, outcome.scores, failure, stages=stages)
+
+
+@contextmanager
+def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        stages[name] = time.perf_counter() - start
