@@ -143,10 +143,15 @@ class VoxelDesign:
 
     def save(self, path: Path | str) -> None:
         """Write a versioned .npz without pickle."""
-        np.savez_compressed(
-            path, format=np.array(FORMAT), version=np.array(VERSION), material=self.material, segment=self.segment,
-            pitch=np.array(self.pitch), **self._joint_arrays(),
-        )  # fmt: skip
+        arrays: dict[str, Any] = {
+            "format": np.array(FORMAT),
+            "version": np.array(VERSION),
+            "material": self.material,
+            "segment": self.segment,
+            "pitch": np.array(self.pitch),
+            **self._joint_arrays(),
+        }
+        np.savez_compressed(path, **arrays)
 
     @classmethod
     def load(cls, path: Path | str) -> VoxelDesign:

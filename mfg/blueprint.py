@@ -111,7 +111,7 @@ class BoxSeat:
         kind: "battery" or "controller".
         body: index of the host.
         size: extents along the box's own axes [m], without clearance.
-        T_design_box: pose of the box frame (origin at its centre); it is inserted along -z, so +z points at its opening.
+        T_design_box: pose of the box frame (origin at its centre); inserted along -z, so +z points at its opening.
         clearance: gap all around in the cavity [m].
         shaft: how far the insertion shaft reaches above the box centre along +z [m].
     """

@@ -63,8 +63,10 @@ class MotorSolver:
             V_h = self._overlaps(blueprint.bodies[holder].bone, hinge, mount, offsets, "holder")
             V_c = self._overlaps(blueprint.bodies[connector].bone, hinge, mount, offsets, "connector")
             nearest = max(nearest, max(zip(V_h.tolist(), V_c.tolist(), strict=True), key=min), key=min)
-            for k in sorted(range(len(offsets)), key=lambda k: (-self.objective(V_h[k], V_c[k]), abs(offsets[k]), k)):
-                score = self.objective(V_h[k], V_c[k])
+            scores = [self.objective(float(h), float(c)) for h, c in zip(V_h, V_c, strict=True)]
+            # Best score first; among equals the smaller offset.
+            for k in np.lexsort((np.abs(offsets), -np.array(scores))).tolist():
+                score = scores[k]
                 if score <= 0.0 or (best is not None and score <= best.score):
                     break
                 T = motor_pose(hinge.position, hinge.axis, float(offsets[k]))
@@ -115,7 +117,9 @@ class MotorSolver:
         area = self._ring_area(bone, hinge, mount.attach_radius, outer, heights + self.step / 2)
         volume = np.concatenate([[0.0], np.cumsum(area) * self.step])  # Volume below each slice boundary.
         edges = np.append(heights, heights[-1] + self.step)
-        return np.interp(offsets + high, edges, volume) - np.interp(offsets + low, edges, volume)
+        below = np.interp(np.concatenate([offsets + low, offsets + high]), edges, volume)
+        volumes: NDArray[np.float64] = below[len(offsets) :] - below[: len(offsets)]
+        return volumes
 
     def _ring_area(
         self, bone: Field, hinge: Hinge, inner: float, outer: float, heights: NDArray[np.float64]

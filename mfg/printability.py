@@ -124,7 +124,7 @@ def print_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     straight, turned = np.ptp(points, axis=0), np.ptp(centred @ axes, axis=0)
-    return min(straight, turned, key=lambda e: float(np.sort(e)[-1]))  # type: ignore[no-any-return]
+    return min(straight, turned, key=lambda e: float(np.sort(e)[-1]))
 
 
 def fits(extents: NDArray[np.float64], volume: tuple[float, float, float]) -> bool:

@@ -47,15 +47,15 @@ class SkinSolver:
             if soft is None:
                 outer.append(None)
                 continue
-            field = smooth_field(soft, design.pitch, self.smoothing)
-            outer.append(field.with_values(np.maximum(field.values, body.bone.on_lattice_of(field))))
+            whole = smooth_field(soft, design.pitch, self.smoothing)
+            outer.append(whole.with_values(np.maximum(whole.values, body.bone.on_lattice_of(whole))))
         radius = mount_of(blueprint.catalogue.motor).attach_radius
         bodies = []
-        for index, (body, field) in enumerate(zip(blueprint.bodies, outer, strict=True)):
-            if field is None:
+        for index, (body, whole) in enumerate(zip(blueprint.bodies, outer, strict=True)):
+            if whole is None:
                 bodies.append(body)
                 continue
-            field = _apart(field, body, index, blueprint.bodies, outer, self.gap)
+            field = _apart(whole, body, index, blueprint.bodies, outer, self.gap)
             for hinge in blueprint.hinges:
                 if index in (hinge.parent, hinge.body):
                     field = cut_cylinder(field, hinge.position, hinge.axis, radius, self.cut_half_length)
@@ -66,9 +66,8 @@ class SkinSolver:
         near = np.zeros(design.material.shape, bool)
         centres = (np.arange(near.shape[0]) + 0.5) * design.pitch
         for joint in design.joints:
-            squared = [(centres - joint.position[a]) ** 2 for a in range(3)]
-            distance = squared[0][:, None, None] + squared[1][None, :, None] + squared[2][None, None, :]
-            near |= distance < self.joint_clearance**2
+            x, y, z = ((centres - joint.position[a]) ** 2 for a in range(3))
+            near |= x[:, None, None] + y[None, :, None] + z[None, None, :] < self.joint_clearance**2
         return near
 
     def _opened(self, soft: NDArray[np.bool_], bone: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

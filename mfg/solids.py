@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -166,7 +167,7 @@ def ball_chain(path: NDArray[np.float64], radius: float, segments: int = 12) -> 
     """A round tunnel along a polyline (k, 3): the union of the hulls of neighbouring balls, valid for any bend."""
     ball = m3.Manifold.sphere(radius, segments)
     balls = [ball.translate(tuple(float(v) for v in p)) for p in path]
-    links = [m3.Manifold.batch_hull([a, b]) for a, b in zip(balls, balls[1:], strict=False)]
+    links = [m3.Manifold.batch_hull([a, b]) for a, b in itertools.pairwise(balls)]
     return _of(m3.Manifold.batch_boolean(links or balls, m3.OpType.Add))
 
 
