@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, cKDTree
 
 from mfg.blueprint import Blueprint, MotorSeat
 from mfg.catalogue import Catalogue, Size
@@ -26,12 +27,12 @@ SIZE_SHARE = 0.8  # share of the printer's volume, in its tightest direction, ab
 
 
 def mount_balance(V_h: float, V_c: float, alpha: float) -> float:
-    """g = sqrt(V_h V_c) + alpha (V_h + V_c), volumes in [m3] (paper Eq. 3)."""
+    """Weigh a mount: g = sqrt(V_h V_c) + alpha (V_h + V_c), volumes in [m3] (paper Eq. 3)."""
     return math.sqrt(V_h * V_c) + alpha * (V_h + V_c)
 
 
 def motor_scale(mount: Mount, alpha: float) -> float:
-    """g where both bodies fill half of the ring in which mounts and bones can overlap [m3].
+    """Give g where both bodies fill half of the ring in which mounts and bones can overlap [m3].
 
     Bones that face each other across the hinge share the ring, so half of it each is the best of both.
     """
@@ -56,6 +57,67 @@ def size_penalty(extents: NDArray[np.float64], volume: Size, share: float = SIZE
     """
     need = float((np.sort(extents) / np.sort(volume)).max())
     return min(1.0, share / need)
+
+
+def largest_clearance(depth: Field) -> float:
+    """d_max = max phi over a body's interior [m]: the radius of the largest ball that fits inside (paper Eq. 6).
+
+    The field ranks the places; the radius itself is the distance to the surface phi = 0, so that a field smoothed deep
+    inside does not matter. Exact up to the curvature of the surface between lattice lines.
+    """
+    tree = cKDTree(crossings(depth))
+    inside = np.argwhere(depth.values > 0)
+    order = np.argsort(-depth.values[tuple(inside.T)], kind="stable")[:300]
+    places = (inside[order] + depth.corner) * depth.spacing
+    radius = np.asarray(tree.query(places)[0])
+    best = places[np.argsort(-radius, kind="stable")[:8]]
+    steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    for scale in (2, 4, 8):
+        tried = best[:, None] + steps * (depth.spacing / scale)
+        radius = np.asarray(tree.query(tried.reshape(-1, 3))[0]).reshape(tried.shape[:2])
+        best = np.take_along_axis(tried, radius.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+    return float(radius.max())
+
+
+def crossings(depth: Field) -> NDArray[np.float64]:
+    """Points where the surface phi = 0 crosses the lattice lines, in the design frame [m], (n, 3)."""
+    v = depth.values
+    points = []
+    for axis in range(3):
+        a, b = np.moveaxis(v, axis, 0)[:-1], np.moveaxis(v, axis, 0)[1:]
+        where = np.nonzero((a > 0) != (b > 0))
+        first, second = a[where].astype(np.float64), b[where].astype(np.float64)
+        index = np.stack(where, axis=-1).astype(np.float64)
+        index[:, 0] += first / (first - second)
+        # Undo the moveaxis: the crossed axis came first.
+        points.append(np.insert(index[:, 1:], axis, index[:, 0], axis=1))
+    return (np.concatenate(points) + depth.corner) * depth.spacing
+
+
+def oriented_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Extents of the oriented box of least volume among those flush with a face and an edge of the hull [m], (3,).
+
+    Args:
+        points: (n, 3), not all in one plane.
+    """
+    turn = np.arange(400) * (np.pi * (3 - np.sqrt(5)))  # Points all around a sphere, on a golden spiral.
+    z = 1 - (2 * np.arange(400) + 1) / 400
+    ring = np.sqrt(1 - z**2)
+    around = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), z])
+    # The hull of the extreme points in 400 directions stands for the hull of all of them.
+    extreme = points[np.unique((points @ around.T).argmax(axis=0))]
+    hull = ConvexHull(extreme)
+    corner = extreme[hull.simplices]
+    normal = hull.equations[:, :3]
+    best = np.ptp(extreme, axis=0)
+    for edge in range(3):
+        x = corner[:, (edge + 1) % 3] - corner[:, edge]
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        frames = np.stack([x, np.cross(normal, x), normal], axis=1)
+        extents = np.ptp(frames @ extreme.T, axis=2)
+        candidate = extents[extents.prod(axis=1).argmin()]
+        best = min(best, candidate, key=lambda e: float(e.prod()))
+    return best
 
 
 def electronics_scale(catalogue: Catalogue) -> float:
@@ -168,7 +230,7 @@ def _united(bone: Field, seats: list[MotorSeat], index: int, mount: Mount) -> Fi
 
 
 def _normals(depth: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.float32]:
-    slope = np.stack([d[where] for d in np.gradient(depth)])
+    slope = np.stack([np.asarray(d)[where] for d in np.gradient(depth)])
     return slope / np.maximum(np.linalg.norm(slope, axis=0), np.float32(1e-9))
 
 
