@@ -47,8 +47,8 @@ class SkinSolver:
             if soft is None:
                 outer.append(None)
                 continue
-            whole = smooth_field(soft, design.pitch, self.smoothing)
-            outer.append(whole.with_values(np.maximum(whole.values, body.bone.on_lattice_of(whole))))
+            smooth = smooth_field(soft, design.pitch, self.smoothing)
+            outer.append(smooth.with_values(np.maximum(smooth.values, body.bone.on_lattice_of(smooth))))
         radius = mount_of(blueprint.catalogue.motor).attach_radius
         bodies = []
         for index, (body, whole) in enumerate(zip(blueprint.bodies, outer, strict=True)):
@@ -64,10 +64,10 @@ class SkinSolver:
 
     def _near_joint(self, design: VoxelDesign) -> NDArray[np.bool_]:
         near = np.zeros(design.material.shape, bool)
-        centres = (np.arange(near.shape[0]) + 0.5) * design.pitch
+        centres: NDArray[np.float64] = (np.arange(near.shape[0]) + 0.5) * design.pitch
         for joint in design.joints:
             x, y, z = ((centres - joint.position[a]) ** 2 for a in range(3))
-            near |= x[:, None, None] + y[None, :, None] + z[None, None, :] < self.joint_clearance**2
+            near |= np.add.outer(np.add.outer(x, y), z) < self.joint_clearance**2
         return near
 
     def _opened(self, soft: NDArray[np.bool_], bone: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
