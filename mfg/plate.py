@@ -31,6 +31,13 @@ class Lay:
     size: NDArray[np.float64]
 
 
+def fits_printer(points: NDArray[np.float64], volume: Size) -> bool:
+    """Whether points (n, 3) fit the printer's volume in some orientation [m]."""
+    if (np.sort(np.ptp(points, axis=0)) <= np.sort(volume) + 1e-6).all():
+        return True
+    return print_rotation(points, volume) is not None
+
+
 def print_rotation(points: NDArray[np.float64], volume: Size) -> NDArray[np.float64] | None:
     """The rotation (3, 3) that lays points (n, 3) as low as possible within the printer's volume; None if none fits.
 

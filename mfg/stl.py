@@ -17,23 +17,37 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 def welded(solid: Solid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Snap to the lattice, merge equal corners, drop collapsed triangles: vertices [mm] (n, 3), triangles (m, 3)."""
     snapped = np.round(solid.vertices * (MM_PER_M / LATTICE)).astype(np.int64)
-    unique, index = np.unique(snapped, axis=0, return_inverse=True)
-    triangles = index.reshape(-1)[solid.triangles]
+    unique, index = _distinct(snapped)
+    triangles = index[solid.triangles]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     used, index = np.unique(triangles, return_inverse=True)
     return unique[used] * LATTICE, index.reshape(-1, 3)
 
 
-def is_closed(triangles: NDArray[np.int64]) -> bool:
-    """Every edge belongs to exactly two triangles that run along it in opposite directions."""
-    if not len(triangles):
-        return False
+def _distinct(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """The distinct rows (n, 3) in a fixed order, and where each row went (twice a one-dimensional search: fast)."""
+    low = rows.min(0)
+    x, y, z = (rows - low).T
+    span = int((rows.max(0) - low).max()) + 1
+    _, pair = np.unique(x * span + y, return_inverse=True)
+    _, first, index = np.unique(pair * span + z, return_index=True, return_inverse=True)
+    return rows[first], index
+
+
+def torn_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Edges (k, 2) that do not belong to exactly two triangles running along them in opposite directions."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    count = int(triangles.max()) + 1
+    count = int(edges.max(initial=0)) + 1
     forward = np.sort(edges[:, 0] * count + edges[:, 1])
     backward = np.sort(edges[:, 1] * count + edges[:, 0])
-    return bool((forward[1:] != forward[:-1]).all() and np.array_equal(forward, backward))
+    if np.array_equal(forward, backward) and (forward[1:] != forward[:-1]).all():
+        return np.zeros((0, 2), np.int64)
+    low, high = edges.min(1), edges.max(1)
+    undirected, inverse, uses = np.unique(low * count + high, return_inverse=True, return_counts=True)
+    balance = np.bincount(inverse, np.where(edges[:, 0] < edges[:, 1], 1, -1))
+    torn = undirected[(uses != 2) | (balance != 0)]
+    return np.stack([torn // count, torn % count], axis=1)
 
 
 def stl_bytes(vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str) -> bytes:

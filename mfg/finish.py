@@ -1,0 +1,181 @@
+"""Solver: exact printable parts, and everything that was decided on fields decided again on solids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mfg.blueprint import Blueprint, MotorSeat, PrintedPart
+from mfg.exact import box_room, core, tunnel
+from mfg.fields import Field
+from mfg.masses import body_masses
+from mfg.mounts import Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
+from mfg.outcome import Failure, Reason, Stage
+from mfg.plate import fits_printer
+from mfg.solids import Solid, ball_chain, from_field, union
+from mfg.stl import MM_PER_M, torn_edges, welded
+
+PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
+_REPAIRS = 4  # attempts
+
+
+@dataclass(frozen=True)
+class FinishSolver:
+    """Make the solids that go to the printer.
+
+    The order of cuts keeps every feature whole: bone - (room for motors, boxes, other bodies' mounts) + own mounts
+    - tunnels. So no shaft eats a mount, no mount fills a cavity, and every tunnel is open at both ends.
+
+    Attributes:
+        gap: room between a body and a mount that it does not carry [m].
+        cut_half_length: half length of the motor's way in along the joint axis, as in the bone processor [m].
+        min_piece: smallest piece worth printing; smaller ones are crumbs and are dropped [m3].
+        max_loss: largest share of a bone that the hardware may cut loose.
+        min_skin: least thickness of a skin [m].
+        tolerance: surface error allowed when thinning triangles, half the width of a printed line [m].
+        max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
+        min_overlap: tau of the motor solver, applied again to the exact volumes [m3].
+    """
+
+    gap: float = 1.5e-3
+    cut_half_length: float = 0.080
+    min_piece: float = 5.0e-7
+    max_loss: float = 0.10
+    min_skin: float = 1.2e-3
+    tolerance: float = 3.0e-4
+    max_touch: float = 1.0e-9
+    min_overlap: float = 2.0e-6
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
+        mount = mount_of(blueprint.catalogue.motor)
+        bones = [from_field(body.bone, self.tolerance) for body in blueprint.bodies]
+        tunnels = [tunnel(wire) for wire in blueprint.wires]
+        parts: list[PrintedPart] = []
+        for index in range(len(blueprint.bodies)):
+            made = self._body(blueprint, index, bones[index], tunnels, mount)
+            if isinstance(made, Failure):
+                return made
+            found, notes = made
+            parts += found
+            for note in notes:
+                blueprint = blueprint.noted(note)
+        separate = self._apart(parts)
+        if isinstance(separate, Failure):
+            return separate
+        whole = [self._whole(part) for part in separate]
+        for part in whole:
+            if isinstance(part, Failure):
+                return part
+        blueprint = replace(blueprint, parts=tuple(part for part in whole if isinstance(part, PrintedPart)))
+        failure = self._too_large(blueprint)
+        if failure is not None:
+            return failure
+        return replace(blueprint, masses=body_masses(blueprint))
+
+    def _body(
+        self, blueprint: Blueprint, index: int, bone: Solid, tunnels: Sequence[Solid], mount: Mount
+    ) -> tuple[list[PrintedPart], list[str]] | Failure:
+        body = blueprint.bodies[index]
+        room = union(self._room(blueprint, index, mount))
+        mounts = union(own_mounts(blueprint, index, mount))
+        pieces = (bone - room + mounts).minus(tunnels).components()
+        total = sum(piece.volume for piece in pieces)
+        lost = total - pieces[0].volume if pieces else 0.0
+        notes = []
+        if not pieces or lost > max(self.max_loss * total, self.min_piece):
+            return Failure(
+                Stage.PRINT,
+                Reason.BONE_SEVERED,
+                f"the hardware leaves {body.name} in {len(pieces)} pieces; {1e6 * lost:.1f} of {1e6 * total:.0f} cm3 "
+                f"would be lost, at most {100 * self.max_loss:.0f} % may be",
+            )
+        if any(piece.overlap(mounts) > self.max_touch for piece in pieces[1:]):
+            return Failure(
+                Stage.PRINT, Reason.BONE_SEVERED, f"a mount of {body.name} is not attached to the rest of it"
+            )
+        if lost > 0:
+            notes.append(f"{body.name}: dropped {len(pieces) - 1} loose piece(s) of bone, {1e6 * lost:.2f} cm3 in all")
+        parts = [PrintedPart(f"{body.name}_bone", index, "rigid", pieces[0])]
+        if body.skin is None:
+            return parts, notes
+        soft = soft_region(body.skin, body.bone, self.min_skin)
+        if not (soft.values > 0).any():
+            return parts, notes
+        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice.
+        skin = (from_field(soft, self.tolerance) - bone - (room + mounts)).minus(tunnels)
+        kept = [piece for piece in skin.components() if piece.volume >= self.min_piece]
+        parts += [PrintedPart(f"{body.name}_skin_{k}", index, "soft", piece) for k, piece in enumerate(kept, start=1)]
+        return parts, notes
+
+    def _room(self, blueprint: Blueprint, index: int, mount: Mount) -> list[Solid]:
+        """What must be free of this body: the motors' ways in, boxes, and what moves against it."""
+        room = []
+        for seat in blueprint.seats:
+            if index == seat.holder:
+                cuts = [connector_keepout(mount), core(mount, seat.offset, self.cut_half_length)]
+            elif index == seat.connector:
+                cuts = [holder_keepout(mount), core(mount, seat.offset, self.cut_half_length)]
+            else:
+                cuts = [envelope(mount, self.gap)]
+            room += [cut.moved(seat.T_design_motor) for cut in cuts]
+        return room + [box_room(box) for box in blueprint.boxes if box.body == index]
+
+    def _apart(self, parts: list[PrintedPart]) -> list[PrintedPart] | Failure:
+        """Trim what two bodies still share: the soft part gives way, else the later one."""
+        parts = list(parts)
+        for i in range(len(parts)):
+            for j in range(i + 1, len(parts)):
+                a, b = parts[i], parts[j]
+                if a.body == b.body or a.solid.overlap(b.solid) <= self.max_touch:
+                    continue
+                loser, keeper = (i, j) if a.material == "soft" and b.material == "rigid" else (j, i)
+                trimmed = parts[loser].solid.minus([parts[keeper].solid]).components()
+                if not trimmed or trimmed[0].overlap(parts[keeper].solid) > self.max_touch:
+                    return Failure(Stage.PRINT, Reason.OVERLAP, f"{a.name} and {b.name} cannot be told apart")
+                parts[loser] = replace(parts[loser], solid=trimmed[0])
+        return parts
+
+    def _whole(self, part: PrintedPart) -> PrintedPart | Failure:
+        """The part as one solid that is still closed when its corners are rounded to what a file can hold."""
+        solid = part.solid
+        for attempt in range(_REPAIRS):
+            vertices, triangles = welded(solid)
+            torn = torn_edges(triangles)
+            if not len(torn) and len(triangles):
+                return replace(part, solid=solid) if attempt else part
+            # Two sheets that meet in an edge or a corner: no printer makes that, so open it.
+            ends = vertices[torn] / MM_PER_M
+            pieces = solid.minus([ball_chain(pair, PINCH, 8) for pair in ends]).components()
+            if not pieces:
+                break
+            solid = pieces[0]
+        return Failure(Stage.PRINT, Reason.NOT_WATERTIGHT, f"{part.name} does not close on the lattice of an STL file")
+
+    def _too_large(self, blueprint: Blueprint) -> Failure | None:
+        printer = blueprint.catalogue.printer
+        for index, body in enumerate(blueprint.bodies):
+            points = np.concatenate([part.solid.vertices for part in blueprint.parts if part.body == index])
+            if not fits_printer(points, printer.volume):
+                extents = " x ".join(f"{1e3 * e:.0f}" for e in np.ptp(points, axis=0))
+                return Failure(
+                    Stage.PRINT, Reason.TOO_LARGE, f"{body.name} measures {extents} mm; no way up fits {printer.name}"
+                )
+        return None
+
+
+def own_mounts(blueprint: Blueprint, index: int, mount: Mount) -> list[Solid]:
+    """The holders and connectors that a body carries, in the design frame."""
+    return [_mount(seat, index, mount) for seat in blueprint.seats if index in (seat.holder, seat.connector)]
+
+
+def _mount(seat: MotorSeat, index: int, mount: Mount) -> Solid:
+    return (holder(mount) if seat.holder == index else connector(mount)).moved(seat.T_design_motor)
+
+
+def soft_region(skin: Field, bone: Field, thinnest: float) -> Field:
+    """Where the outer surface stands at least `thinnest` above the bone, bone included: no slivers on bare bone [m]."""
+    above = skin.values - bone.on_lattice_of(skin) - np.float32(thinnest)
+    return skin.with_values(np.minimum(skin.values, above))
