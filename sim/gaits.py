@@ -158,7 +158,8 @@ def decode(drive: Drive, point: NDArray[np.float64]) -> Gait:
     unit = np.abs((point + 1.0) % 2.0 - 1.0)  # reflects at 0 and 1, so that the search has no walls
     low, high = _limits(drive)
     offset = low + unit[1 + 2 * n :] * (high - low)
-    room = np.minimum(np.minimum(offset - low, high - offset), GREATEST_AMPLITUDE)
+    # Rounding may put an offset beyond its limit by one part in 1e16.
+    room = np.clip(np.minimum(offset - low, high - offset), 0.0, GREATEST_AMPLITUDE)
     return Gait(
         frequency=FREQUENCY[0] * (FREQUENCY[1] / FREQUENCY[0]) ** float(unit[0]),
         amplitude=unit[1 : 1 + n] * room,

@@ -1,0 +1,130 @@
+"""Pictures of a moving robot without a display: a strip of moments, or a video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.render import Shape, render, save_png
+from sim.model import Model, body_length, poses, surfaces
+from sim.rollout import CONTROL_PERIOD, Rollouts
+
+Image = NDArray[np.uint8]
+
+SIZE = (320, 240)  # of a frame [pixels]; the encoder wants multiples of 16
+RATE = 20  # frames per second of a video
+FLOOR = 0.0  # height of the ground [m]
+FOLLOW = 0.5  # the camera follows the centre of mass averaged over this long [s]
+# Links without a colour of their own take these in turn: the root is grey, neighbours differ.
+PALETTE = ((0.62, 0.65, 0.69), (0.24, 0.49, 0.69), (0.90, 0.62, 0.24), (0.42, 0.66, 0.42), (0.72, 0.42, 0.52),
+           (0.36, 0.64, 0.66), (0.83, 0.74, 0.42), (0.52, 0.47, 0.72))  # fmt: skip
+TRAIL = (0.85, 0.25, 0.20)  # where the centre of mass has been
+TRAIL_WIDTH = 0.008  # [m]
+MUJOCO_GREY = (0.5, 0.5, 0.5, 1.0)  # a geom without a colour
+
+
+def film(
+    model: Model, rollouts: Rollouts, index: int = 0, size: tuple[int, int] = SIZE, rate: int = RATE
+) -> Iterator[Image]:
+    """Draw one rollout frame by frame, (height, width, 3) each, the camera going along with the robot."""
+    count = rollouts.qpos.shape[1]
+    every = np.arange(0, count, 1.0 / (rate * CONTROL_PERIOD)).round().astype(int)
+    yield from _draw(model, rollouts, index, every[every < count], size, draft=True)
+
+
+def strip(model: Model, rollouts: Rollouts, index: int = 0, count: int = 6, size: tuple[int, int] = SIZE) -> Image:
+    """Set `count` moments of one rollout side by side, from the start to the end."""
+    moments = np.linspace(0, rollouts.qpos.shape[1] - 1, count).round().astype(int)
+    return np.concatenate(list(_draw(model, rollouts, index, moments, size, draft=False)), axis=1)
+
+
+def save_strip(path: Path | str, model: Model, rollouts: Rollouts, index: int = 0, count: int = 6) -> None:
+    """Write the strip of one rollout as PNG.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    save_png(path, strip(model, rollouts, index, count))
+
+
+def save_video(
+    path: Path | str, model: Model, rollouts: Rollouts, index: int = 0, size: tuple[int, int] = SIZE, rate: int = RATE
+) -> None:
+    """Write one rollout as H.264 in MP4, in real time.
+
+    Raises:
+        ValueError: if the size is not a multiple of 16.
+        OSError: if it cannot be written.
+    """
+    if size[0] % 16 or size[1] % 16:
+        raise ValueError(f"video size is {size[0]} x {size[1]}; both must be multiples of 16")
+    Path(path).open("wb").close()  # the encoder's own complaint would not name the file
+    writer = imageio_ffmpeg.write_frames(
+        str(path), size, fps=rate, codec="libx264", pix_fmt_out="yuv420p", quality=7, ffmpeg_log_level="error"
+    )
+    writer.send(None)
+    try:
+        for frame in film(model, rollouts, index, size, rate):
+            writer.send(np.ascontiguousarray(frame))
+    finally:
+        writer.close()
+
+
+def _draw(
+    model: Model, rollouts: Rollouts, index: int, moments: NDArray[np.intp], size: tuple[int, int], *, draft: bool
+) -> Iterator[Image]:
+    shapes = _shapes(model)
+    reach = 0.5 * body_length(model)
+    height = float(rollouts.com[index, :, 2].max())
+    centre = _smoothed(rollouts.com[index, :, :2], round(FOLLOW / CONTROL_PERIOD))
+    for moment, pose in zip(moments, poses(model, rollouts.qpos[index, moments]), strict=True):
+        x, y = centre[moment]
+        bounds = np.array([[x - reach, y - reach, FLOOR], [x + reach, y + reach, height + 0.5 * reach]])
+        moved = [shape.moved(pose[geom]) for geom, shape in shapes]
+        moved += _trail(rollouts.com[index, : moment + 1, :2])
+        yield render(moved, size, floor=FLOOR, bounds=bounds, draft=draft)
+
+
+def _shapes(model: Model) -> list[tuple[int, Shape]]:
+    """(geom, shape) of what is to be seen: meshes made for the eye if there are any, else the hulls."""
+    meshes = surfaces(model)
+    seen = [mesh for mesh in meshes if not mesh.touches] or meshes
+    shapes = []
+    for mesh in seen:
+        *colour, alpha = PALETTE[(mesh.body - 1) % len(PALETTE)] + (1.0,) if _is_plain(mesh.colour) else mesh.colour
+        r, g, b = colour
+        shapes.append((mesh.geom, Shape(mesh.vertices, mesh.triangles, (r, g, b), alpha)))
+    return shapes
+
+
+def _trail(path: NDArray[np.float64]) -> list[Shape]:
+    """A ribbon on the floor along a path (k, 2)."""
+    path = path[:: max(1, round(0.1 / CONTROL_PERIOD))]
+    if len(path) < 2:
+        return []
+    along = np.gradient(path, axis=0)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    across *= 0.5 * TRAIL_WIDTH / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    flat = np.concatenate([path + across, path - across])
+    n = len(path)
+    left = np.arange(n - 1)
+    triangles = np.concatenate([
+        np.stack([left, left + n, left + 1], axis=1), np.stack([left + 1, left + n, left + n + 1], axis=1)
+    ])  # fmt: skip
+    return [Shape(np.column_stack([flat, np.full(2 * n, FLOOR + 0.001)]), triangles, TRAIL)]
+
+
+def _is_plain(colour: tuple[float, float, float, float]) -> bool:
+    return bool(np.allclose(colour, MUJOCO_GREY))
+
+
+def _smoothed(path: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Moving average of a path (k, 2) over up to `width` steps to each side."""
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(path, axis=0)])
+    at = np.arange(len(path))
+    low, high = np.maximum(at - width, 0), np.minimum(at + width + 1, len(path))
+    return (total[high] - total[low]) / (high - low)[:, None]
