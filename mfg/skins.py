@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from decoder.design import Material, VoxelDesign
+from decoder.design import GRID, Material, VoxelDesign
 from mfg.blueprint import Blueprint, Body
 from mfg.bones import bounding_window, cut_cylinder, smooth_field
 from mfg.fields import OUTSIDE, Field
@@ -63,11 +63,11 @@ class SkinSolver:
         return replace(blueprint, bodies=tuple(bodies))
 
     def _near_joint(self, design: VoxelDesign) -> NDArray[np.bool_]:
-        near = np.zeros(design.material.shape, bool)
-        centres: NDArray[np.float64] = (np.arange(near.shape[0]) + 0.5) * design.pitch
+        near = np.zeros((GRID, GRID, GRID), bool)
+        centres = (np.arange(GRID) + 0.5) * design.pitch
         for joint in design.joints:
-            x, y, z = ((centres - joint.position[a]) ** 2 for a in range(3))
-            near |= np.add.outer(np.add.outer(x, y), z) < self.joint_clearance**2
+            x, y, z = np.square(centres - joint.position[:, None])
+            near |= x[:, None, None] + y[:, None] + z < self.joint_clearance**2
         return near
 
     def _opened(self, soft: NDArray[np.bool_], bone: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
