@@ -220,9 +220,105 @@ COMMANDS: dict[str, tuple[Maker, str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", [*DESIGNS, *COMMANDS])
+def config(text: str | bytes) -> Maker:
+    """A configuration file with this in it."""
+
+    def make(folder: Path, design: VoxelDesign) -> list[object]:
+        data = text if isinstance(text, bytes) else text.encode()
+        (folder / "bad.toml").write_bytes(data)
+        return ["run", folder / "bad.toml", "--out", folder / "run"]
+
+    return make
+
+
+CONFIGS: dict[str, tuple[Maker, str]] = {
+    "config: missing": (words("run", "{tmp}/no.toml", "--out", "{tmp}/run"), "no.toml: No such file"),
+    "config: a folder": (words("run", "{tmp}", "--out", "{tmp}/run"), "directory"),
+    "config: empty": (config(""), "kind is missing"),
+    "config: binary": (config(b"\x80\x81\xff\x00"), "UTF-8"),
+    "config: not TOML": (config("kind = evolve"), "not a TOML file"),
+    "config: a key twice": (config('kind = "study"\nn = 1\nn = 2'), "not a TOML file"),
+    "config: unknown kind": (config('kind = "evolv"'), 'did you mean "evolve"'),
+    "config: kind of a later version": (config('kind = "policy"'), "later version"),
+    "config: kind is a number": (config("kind = 3"), "kind = 3"),
+    "config: a typo": (config('kind = "evolve"\n[search]\ngenerationz = 3'), "did you mean generations"),
+    "config: a typo in a table": (config('kind = "evolve"\n[serch]\nsigma = 1.0'), "did you mean search"),
+    "config: a text for a number": (config('kind = "study"\nn = "many"'), "whole number"),
+    "config: a fraction for a count": (config('kind = "study"\nn = 1.5'), "whole number"),
+    "config: a number for a table": (config('kind = "evolve"\nsearch = 3'), "must be a table"),
+    "config: out of bounds": (config('kind = "evolve"\n[search]\npopsize = 1'), "popsize = 1"),
+    "config: negative workers": (config('kind = "study"\nworkers = -1'), "workers = -1"),
+    "config: not a number": (config('kind = "evolve"\n[search]\nsigma = nan'), "sigma = nan"),
+    "config: decoder of a later version": (config('kind = "study"\ndecoder = "vae"'), "later version"),
+    "config: unknown catalogue": (config('kind = "study"\ncatalogue = "cheap"'), "catalogue"),
+    "config: sketch without a design": (config('kind = "sketch"'), "design is missing"),
+    "config: sketch of a missing file": (config('kind = "sketch"\ndesign = "no.vox"'), "no.vox"),
+}
+
+
+def words_with(prepare: Callable[[Path], object], *argv: str) -> Maker:
+    """A command line after something was put into {tmp}."""
+
+    def make(folder: Path, design: VoxelDesign) -> list[object]:
+        prepare(folder)
+        return words(*argv)(folder, design)
+
+    return make
+
+
+def folder_with(name: str, data: bytes) -> Callable[[Path], object]:
+    def prepare(folder: Path) -> None:
+        (folder / "given").mkdir()
+        (folder / "given" / name).write_bytes(data)
+
+    return prepare
+
+
+GIVEN = "{tmp}/given"
+FOLDERS: dict[str, tuple[Maker, str]] = {
+    "bundle: missing": (words("deploy", GIVEN, "--dry-run"), "given"),
+    "bundle: empty folder": (words_with(folder_with("x", b""), "deploy", GIVEN, "--dry-run"), "bundle.json"),
+    "bundle: a file": (words("deploy", "{good}", "--dry-run"), "good.npz"),
+    "bundle: not JSON": (words_with(folder_with("bundle.json", b"{"), "deploy", GIVEN, "--dry-run"), "bundle.json"),
+    "bundle: binary": (words_with(folder_with("bundle.json", b"\xff\x00"), "deploy", GIVEN, "--dry-run"), "bundle"),
+    "bundle: another document": (words_with(folder_with("bundle.json", b"[]"), "deploy", GIVEN, "--dry-run"), "bundle"),
+    "bundle: nothing in it": (words_with(folder_with("bundle.json", b"{}"), "deploy", GIVEN, "--dry-run"), "bundle"),
+    "unknown bus": (words("deploy", GIVEN, "--bus", "carrier-pigeon"), "unknown bus"),
+    "dry run on a real bus": (words("deploy", GIVEN, "--bus", "socketcan:can0", "--dry-run"), "dry-run"),
+    "no time to deploy": (words("deploy", GIVEN, "--seconds", "0"), "out of bounds"),
+    "log: missing": (words("replay", "{tmp}/no.log"), "no.log"),
+    "log: text": (words("replay", "{file}"), "file"),
+    "log: empty": (words_with(folder_with("frames.log", b""), "replay", GIVEN + "/frames.log"), "frames.log"),
+    "log: binary": (words_with(folder_with("frames.log", b"\xff\xfe\x00"), "replay", GIVEN + "/frames.log"), "frames"),
+    "report: missing": (words("report", GIVEN), "given"),
+    "report: not a run": (words_with(folder_with("x", b""), "report", GIVEN), "given"),
+    "report: a file": (words("report", "{file}"), "file"),
+    "report: corrupt run file": (words_with(folder_with("run.sqlite", b"no database" * 99), "report", GIVEN), "given"),
+    "report: empty run file": (words_with(folder_with("run.sqlite", b""), "report", GIVEN), "given"),
+    "resume: nothing there": (
+        words_with(folder_with("c.toml", b'kind = "evolve"'), "run", GIVEN + "/c.toml", "--out", GIVEN + "/r",
+                   "--resume"), "resume",
+    ),
+    "simulate: missing": (words("simulate", GIVEN), "given"),
+    "simulate: not a blueprint": (words_with(folder_with("x", b""), "simulate", GIVEN), "given"),
+    "simulate: broken model": (words_with(folder_with("robot.xml", b"<mujoco"), "simulate", GIVEN), "given"),
+    "simulate: unknown suffix": (words("simulate", "{file}"), "file"),
+    "simulate: policy is missing": (words("simulate", "{good}", "--policy", GIVEN), "given"),
+    "study: negative count": (words("study", "-n", "-5", "--out", GIVEN), "out of bounds"),
+    "study: negative workers": (words("study", "-n", "2", "--workers", "-1", "--out", GIVEN), "workers"),
+    "study: unknown decoder": (words("study", "-n", "2", "--decoder", "gnome", "--out", GIVEN), "gnome"),
+    "study: file in the way": (words("study", "-n", "2", "--out", "{file}"), "is a file"),
+}  # fmt: skip
+ALL = {**DESIGNS, **COMMANDS, **CONFIGS, **FOLDERS}
+
+
+def test_every_kind_has_its_own_name():
+    assert len(ALL) == sum(map(len, (DESIGNS, COMMANDS, CONFIGS, FOLDERS)))
+
+
+@pytest.mark.parametrize("kind", ALL)
 def test_bad_input_is_one_clear_line_and_status_2(kind, bodyplan, tmp_path, hinge):
-    make, fragment = (DESIGNS | COMMANDS)[kind]
+    make, fragment = ALL[kind]
     said = bodyplan(*make(tmp_path, hinge))
     one_clear_line(said, fragment)
     assert not (tmp_path / "sprung").exists(), "a pickle was loaded"
