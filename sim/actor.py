@@ -197,7 +197,14 @@ def save_bundle(folder: Path, bundle: Bundle, model_folder: Path | None = None) 
         shutil.copyfile(model_folder / MODEL_FILE, folder / MODEL_FILE)
         if (model_folder / MESH_FOLDER).is_dir():
             shutil.copytree(model_folder / MESH_FOLDER, folder / MESH_FOLDER, dirs_exist_ok=True)
-    document = {
+    partial = folder / (BUNDLE_FILE + ".partial")
+    partial.write_text(json.dumps(bundle_document(bundle), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(partial, folder / BUNDLE_FILE)
+
+
+def bundle_document(bundle: Bundle) -> dict[str, Any]:
+    """Put a bundle into the form that `bundle.json` stores, with every number exact."""
+    return {
         "version": BUNDLE_VERSION,
         "design": bundle.design,
         "config_hash": bundle.config_hash,
@@ -216,9 +223,6 @@ def save_bundle(folder: Path, bundle: Bundle, model_folder: Path | None = None) 
             "offset": bundle.actor.offset.tolist(),
         },
     }
-    partial = folder / (BUNDLE_FILE + ".partial")
-    partial.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, folder / BUNDLE_FILE)
 
 
 def load_bundle(folder: Path) -> Bundle:
@@ -238,12 +242,37 @@ def load_bundle(folder: Path) -> Bundle:
     except BundleError as error:
         raise BundleError(f"{path}: {error}") from None
     try:
-        bundle = _parse(document)
+        bundle = parse_bundle(document)
     except BundleError as error:
         raise BundleError(f"{path}: {error}") from None
     if (folder / MODEL_FILE).exists():
         check_model(folder / MODEL_FILE, bundle)
     return bundle
+
+
+def parse_bundle(document: Any) -> Bundle:
+    """Read a bundle out of its JSON document, the inverse of `bundle_document`.
+
+    Raises:
+        BundleError: A field, joint or array is missing, unknown, of the wrong type or shape, or out of bounds.
+    """
+    if isinstance(document, dict) and document.get("version", BUNDLE_VERSION) != BUNDLE_VERSION:
+        raise BundleError(f"version must be {BUNDLE_VERSION}, got {document['version']!r}; export the bundle again.")
+    top = _record("fields", document, _TOP_FIELDS)
+    order = top["order"]
+    if not (isinstance(order, list) and all(isinstance(name, str) for name in order)):
+        raise BundleError(f"order must be a list of joint names, got {order!r}.")
+    if not isinstance(top["joints"], dict):
+        raise BundleError(f"joints must be an object by name, got {top['joints']!r}.")
+    _same_names("joints and order", set(top["joints"]), set(order))
+    return Bundle(
+        design=_text("design", top["design"]),
+        joints=tuple(_joint(name, top["joints"][name]) for name in order),
+        actor=_actor(top["actor"], len(order)),
+        dt=_number("dt", top["dt"]),
+        time_constant=_number("time_constant", top["time_constant"]),
+        config_hash=_text("config_hash", top["config_hash"]),
+    )
 
 
 def check_model(path: Path, bundle: Bundle) -> None:
@@ -269,26 +298,6 @@ def _same_names(what: str, found: set[str], expected: set[str]) -> None:
     missing, unknown = sorted(expected - found), sorted(found - expected)
     if missing or unknown:
         raise BundleError(f"{what} disagree: missing {missing}, unknown {unknown}.")
-
-
-def _parse(document: Any) -> Bundle:
-    if isinstance(document, dict) and document.get("version", BUNDLE_VERSION) != BUNDLE_VERSION:
-        raise BundleError(f"version must be {BUNDLE_VERSION}, got {document['version']!r}; export the bundle again.")
-    top = _record("fields", document, _TOP_FIELDS)
-    order = top["order"]
-    if not (isinstance(order, list) and all(isinstance(name, str) for name in order)):
-        raise BundleError(f"order must be a list of joint names, got {order!r}.")
-    if not isinstance(top["joints"], dict):
-        raise BundleError(f"joints must be an object by name, got {top['joints']!r}.")
-    _same_names("joints and order", set(top["joints"]), set(order))
-    return Bundle(
-        design=_text("design", top["design"]),
-        joints=tuple(_joint(name, top["joints"][name]) for name in order),
-        actor=_actor(top["actor"], len(order)),
-        dt=_number("dt", top["dt"]),
-        time_constant=_number("time_constant", top["time_constant"]),
-        config_hash=_text("config_hash", top["config_hash"]),
-    )
 
 
 def _joint(name: str, document: Any) -> JointSetup:

@@ -1,0 +1,224 @@
+"""`bodyplan deploy`: run a policy bundle on motors, real ones or simulated ones behind real frames."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from experiments.output import DONE, INFEASIBLE, BadInput, emit, progress, say
+
+if TYPE_CHECKING:
+    from hardware.bus import Clock, Port
+    from hardware.robot import Tick
+    from hardware.virtual import VirtualMotors
+    from mfg.description import Description
+    from sim.actor import Bundle, Gait
+    from sim.plant import Plant
+
+HELP = "run a policy bundle on a robot's motors, or rehearse it on simulated ones"
+VIRTUAL = "virtual"
+BUSES = ("socketcan:can0", "slcan:/dev/ttyACM0")
+CONTROL_PERIOD = 0.02  # [s]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("bundle", metavar="BUNDLE", type=Path, help="folder of a policy bundle")
+    parser.add_argument("--bus", default=VIRTUAL, help=f"{VIRTUAL} (default), {' or '.join(BUSES)}")
+    parser.add_argument("--dry-run", action="store_true", help="rehearse in simulated time, as fast as possible")
+    parser.add_argument("--seconds", type=_seconds, default=10.0, help="how long the policy drives (default 10)")
+    parser.add_argument("--log", type=Path, help="write all frames here (candump form), all periods to LOG.jsonl")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the robot; exit status 1 if a guard stopped it."""
+    from hardware.bus import RealClock, open_port
+    from sim.actor import load_bundle
+
+    if args.bus != VIRTUAL and args.bus.partition(":")[0] not in ("socketcan", "slcan"):
+        raise BadInput(f"unknown bus {args.bus!r}; give {VIRTUAL}, {' or '.join(BUSES)}")
+    if args.dry_run and args.bus != VIRTUAL:
+        raise BadInput(f"--dry-run moves nothing real, so it needs --bus {VIRTUAL}, not {args.bus}")
+    bundle = load_bundle(args.bundle)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_stop_on_signals())
+        if args.bus == VIRTUAL:
+            plant = _load_plant(args.bundle, bundle)
+            motors, port, clock = stack.enter_context(_rehearsal(bundle, plant, lock_step=args.dry_run))
+            result = _run(args, bundle, port, clock, motors, plant)
+        else:
+            port = open_port(args.bus)
+            stack.callback(port.close)
+            say("no IMU is connected: the tilt guard is off; keep a hand on the power switch")
+            result = _run(args, bundle, port, RealClock())
+    if args.json:
+        emit(result)
+    else:
+        _tell(result)
+    return DONE if result["latched"] is None else INFEASIBLE
+
+
+def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIOD, config_hash: str = "") -> Bundle:
+    """Make the policy bundle of a described robot: CAN ids from 1 in joint order, gains as the wire rounds them.
+
+    Raises:
+        BundleError: The robot has more joints than one bus has ids, or the gait has another number of joints.
+    """
+    from hardware.j60 import quantise_gains
+    from sim.actor import Bundle, JointSetup
+
+    joints = []
+    for can_id, joint in enumerate(description.joints, 1):
+        low, high = float(joint.range[0]), float(joint.range[1])
+        kp, kd = quantise_gains(joint.motor.stiffness, joint.motor.damping)
+        joints.append(
+            JointSetup(
+                name=joint.name,
+                can_id=can_id,
+                sign=1,
+                range=(low, high),
+                default=min(max(0.0, low), high),
+                kp=kp,
+                kd=kd,
+                peak_torque=joint.motor.peak_torque,
+                continuous_torque=joint.motor.continuous_torque,
+                max_speed=joint.motor.max_speed,
+            )
+        )
+    return Bundle(description.name, tuple(joints), gait, dt, config_hash=config_hash)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not 0.1 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text} is out of bounds; it must lie in [0.1, 3600] s")
+    return value
+
+
+@contextlib.contextmanager
+def _stop_on_signals() -> Iterator[None]:
+    """Make a polite kill end a run as Ctrl-C does: through damping, to off."""
+
+    def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature is Python's.
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _load_plant(folder: Path, bundle: Bundle) -> Plant:
+    from sim.actor import MODEL_FILE
+    from sim.model import ModelError
+    from sim.plant import Plant
+
+    if not (folder / MODEL_FILE).exists():
+        raise BadInput(f"{folder} has no {MODEL_FILE} to rehearse with; export the bundle together with its model")
+    try:
+        return Plant.load(folder / MODEL_FILE, bundle.names)
+    except ModelError as error:
+        raise BadInput(f"{folder / MODEL_FILE}: {error}") from None
+
+
+@contextlib.contextmanager
+def _rehearsal(bundle: Bundle, plant: Plant, lock_step: bool) -> Iterator[tuple[VirtualMotors, Port, Clock]]:
+    """Attach simulated motors to a virtual bus; gives them, our end of the bus and the clock to run by."""
+    import threading
+
+    from hardware.bus import RealClock, open_virtual_pair
+    from hardware.virtual import LockStepPort, VirtualMotors
+
+    ours, theirs = open_virtual_pair()
+    ids = [joint.can_id for joint in bundle.joints]
+    motors = VirtualMotors(theirs, plant, ids, [joint.sign for joint in bundle.joints])
+    try:
+        if lock_step:
+            yield motors, LockStepPort(ours, motors), motors
+            return
+        stop, clock = threading.Event(), RealClock()
+        thread = threading.Thread(target=motors.serve_forever, args=(stop, clock), name="motors", daemon=True)
+        thread.start()
+        try:
+            yield motors, ours, clock
+        finally:
+            stop.set()
+            thread.join()
+    finally:
+        ours.close()
+        theirs.close()
+
+
+def _run(
+    args: argparse.Namespace,
+    bundle: Bundle,
+    port: Port,
+    clock: Clock,
+    motors: VirtualMotors | None = None,
+    plant: Plant | None = None,
+) -> dict[str, Any]:
+    import numpy as np
+
+    from hardware.bus import MotorBus
+    from hardware.control import drive
+    from hardware.log import Journal
+    from hardware.robot import Robot, Schedule, State
+
+    schedule = Schedule(policy=args.seconds)
+    seconds = schedule.passive + schedule.ramp + schedule.hold + schedule.policy + schedule.damping
+    bar = progress(range(10**9), round(seconds / bundle.dt), "deploy")
+    track: list[tuple[float, Any]] = []
+
+    def watch(tick: Tick) -> None:
+        next(bar)
+        if plant is not None and tick.state is State.POLICY:
+            track.append((tick.index * bundle.dt, plant.base_position))
+
+    with contextlib.ExitStack() as stack:
+        journal = None if args.log is None else stack.enter_context(Journal(args.log, port, clock))
+        robot = Robot(MotorBus(journal or port, clock), clock, bundle, schedule=schedule)
+        summary = drive(robot, clock, None if motors is None else motors.imu, journal, watch)
+    if summary.unconfirmed:
+        say(f"motors {list(summary.unconfirmed)} did not confirm that they are off: cut the power")
+    speed = None
+    if len(track) > 1:
+        (begin, start), (end, finish) = track[0], track[-1]
+        speed = float(np.hypot(*(finish - start)[:2])) / (end - begin)
+    return {
+        "ticks": summary.ticks,
+        "overruns": summary.overruns,
+        "tracking_rms_rad": summary.tracking_rms,
+        "speed_m_s": speed,
+        "state": str(summary.state),
+        "latched": None if summary.trip is None else summary.trip.as_json(),
+        "worst_lateness_s": summary.worst_lateness,
+        "worst_jitter_s": summary.worst_jitter,
+        "peak_torque_Nm": summary.peak_torque,
+        "rms_torque_Nm": summary.rms_torque,
+        "unconfirmed_off": list(summary.unconfirmed),
+        "log": None if args.log is None else str(args.log),
+    }
+
+
+def _tell(result: dict[str, Any]) -> None:
+    print(f"{result['ticks']} periods, {result['overruns']} late, now {result['state']}")
+    if result["tracking_rms_rad"] is not None:
+        print(
+            f"tracking error {result['tracking_rms_rad']:.4f} rad rms, torque up to {result['peak_torque_Nm']:.1f} N.m"
+        )
+    if result["speed_m_s"] is not None:
+        print(f"speed {result['speed_m_s']:.3f} m/s")
+    if result["latched"] is not None:
+        trip = result["latched"]
+        where = "" if trip["joint"] is None else f" of {trip['joint']}"
+        print(f"stopped by the guard {trip['guard']}{where}: {trip['value']} beyond {trip['bound']}")

@@ -1,0 +1,94 @@
+"""The fixed-rate loop: absolute deadlines, lateness counted, every period written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.bus import Clock
+from hardware.log import Journal
+from hardware.robot import Imu, Robot, State, Tick
+from hardware.safety import Trip
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """What a run came to."""
+
+    ticks: int
+    overruns: int  # periods that ended after their deadline
+    worst_lateness: float  # of a period's end, 0 if none was late [s]
+    worst_jitter: float  # of a period's start after its due time [s]
+    tracking_rms: float | None  # between targets and measurements while the policy ran, None if it never did [rad]
+    peak_torque: float  # greatest measured while the policy ran [N.m]
+    rms_torque: float  # of the hardest-working joint while the policy ran [N.m]
+    state: State
+    trip: Trip | None
+    unconfirmed: tuple[int, ...]  # motors that did not confirm that they are off
+
+
+def drive(
+    robot: Robot,
+    clock: Clock,
+    imu: Callable[[], Imu] | None = None,
+    journal: Journal | None = None,
+    watch: Callable[[Tick], None] | None = None,
+) -> RunSummary:
+    """Run a robot from bring-up to off, one period after another.
+
+    A period that ends late by whole periods makes the loop leave those out, so that the policy's time stays true.
+
+    Args:
+        robot: Not yet entered.
+        clock: Real or simulated.
+        imu: Reads the IMU, None without one.
+        journal: Where every period is written down.
+        watch: Called after every period.
+
+    Raises:
+        MotorError: The bus is gone, or a motor is silent or faulty at bring-up. The motors have been told to be off.
+    """
+    dt = robot.bundle.dt
+    ticks = overruns = row = index = 0
+    worst_lateness = worst_jitter = 0.0
+    errors, torques = [], []
+    if journal is not None:
+        journal.header(robot.bundle, robot.limits, robot.schedule)
+    with robot:
+        if journal is not None:
+            journal.brought_up()
+        start = clock.now()
+        while robot.state is not State.OFF:
+            worst_jitter = max(worst_jitter, clock.now() - (start + index * dt))
+            tick = robot.tick(index, None if imu is None else imu(), row)
+            if journal is not None:
+                journal.tick(tick, row)
+            if watch is not None:
+                watch(tick)
+            if tick.state is State.POLICY:
+                errors.append(tick.position - tick.previous_target)
+                torques.append(tick.torque)
+            ticks += 1
+            index += 1
+            lateness = clock.now() - (start + index * dt)
+            if lateness > 0.0:
+                overruns, row = overruns + 1, row + 1
+                worst_lateness = max(worst_lateness, lateness)
+                index += int(lateness / dt)
+            else:
+                row = 0
+            clock.sleep_until(start + index * dt)
+    return RunSummary(
+        ticks=ticks,
+        overruns=overruns,
+        worst_lateness=worst_lateness,
+        worst_jitter=worst_jitter,
+        tracking_rms=float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+        peak_torque=float(np.max(np.abs(torques))) if torques else 0.0,
+        rms_torque=float(np.max(np.sqrt(np.mean(np.square(torques), axis=0)))) if torques else 0.0,
+        state=robot.state,
+        trip=robot.trip,
+        unconfirmed=robot.unconfirmed,
+    )
