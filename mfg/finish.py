@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mfg.blueprint import Blueprint, MotorSeat, PrintedPart
-from mfg.exact import box_room, core, tunnel
+from mfg.exact import (
+    attachment,
+    body_overlap,
+    box_room,
+    conflict,
+    core,
+    filled_mounts,
+    interference_above,
+    largest_ball,
+    tunnel,
+)
 from mfg.fields import Field
 from mfg.masses import body_masses
-from mfg.mounts import Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
+from mfg.motors import MotorSolver
+from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
+from mfg.scores import (
+    body_install_score,
+    electronics_install_score,
+    electronics_score,
+    motor_score,
+    oriented_extents,
+    size_penalty,
+)
 from mfg.solids import Solid, ball_chain, from_field, union
 from mfg.stl import MM_PER_M, torn_edges, welded
 
@@ -36,7 +55,7 @@ class FinishSolver:
         min_skin: least thickness of a skin [m].
         tolerance: surface error allowed when thinning triangles, half the width of a printed line [m].
         max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
-        min_overlap: tau of the motor solver, applied again to the exact volumes [m3].
+        motors: the motor solver whose threshold and objective are applied again to the exact volumes.
     """
 
     gap: float = 1.5e-3
@@ -46,7 +65,7 @@ class FinishSolver:
     min_skin: float = 1.2e-3
     tolerance: float = 3.0e-4
     max_touch: float = 1.0e-9
-    min_overlap: float = 2.0e-6
+    motors: MotorSolver = field(default_factory=MotorSolver)
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
@@ -70,10 +89,43 @@ class FinishSolver:
             if isinstance(part, Failure):
                 return part
         blueprint = replace(blueprint, parts=tuple(part for part in whole if isinstance(part, PrintedPart)))
-        failure = self._too_large(blueprint)
+        failure = self._too_large(blueprint) or conflict(blueprint, tunnels, self.max_touch)
         if failure is not None:
             return failure
-        return replace(blueprint, masses=body_masses(blueprint))
+        return self._rescored(replace(blueprint, masses=body_masses(blueprint)), bones, mount)
+
+    def _rescored(self, blueprint: Blueprint, bones: Sequence[Solid], mount: Mount) -> Blueprint | Failure:
+        """Replace what the fields estimated by what the solids say; the paths of cables are the same in both."""
+        catalogue, seats = blueprint.catalogue, []
+        for seat in blueprint.seats:
+            V_h, V_c = attachment(blueprint, seat, bones)
+            score = self.motors.objective(V_h, V_c)
+            if score <= 0.0:
+                return Failure(
+                    Stage.MOTOR,
+                    Reason.NO_OVERLAP,
+                    f"{blueprint.hinges[seat.hinge].name}: the solids share {1e6 * V_h:.1f} cm3 with the holder and "
+                    f"{1e6 * V_c:.1f} cm3 with the connector, each needs {1e6 * self.motors.min_overlap:.1f} cm3",
+                )
+            seats.append(replace(seat, holder_volume=V_h, connector_volume=V_c, score=score))
+        scores = {
+            "motor": motor_score([seat.score for seat in seats], mount, self.motors.alpha),
+            "body_install": body_install_score(body_overlap(blueprint, bones)),
+        }
+        if blueprint.boxes:
+            hosts = sorted({seat.body for seat in blueprint.boxes})
+            scores["electronics"] = min(self._room_score(blueprint, index, bones[index], mount) for index in hosts)
+            V_cap = sum(interference_above(blueprint, seat, bones) for seat in blueprint.boxes)
+            scores["electronics_install"] = electronics_install_score(V_cap, catalogue)
+        return replace(blueprint, seats=tuple(seats)).scored(**scores)
+
+    def _room_score(self, blueprint: Blueprint, index: int, bone: Solid, mount: Mount) -> float:
+        outline = [bone.vertices]
+        for seat in blueprint.seats:
+            if index in (seat.holder, seat.connector):
+                outline.append(filled_mounts(mount)[index == seat.connector].moved(seat.T_design_motor).vertices)
+        p_obb = size_penalty(oriented_extents(np.concatenate(outline)), blueprint.catalogue.printer.volume)
+        return electronics_score(largest_ball(blueprint, index, bone), p_obb, blueprint.catalogue)
 
     def _body(
         self, blueprint: Blueprint, index: int, bone: Solid, tunnels: Sequence[Solid], mount: Mount

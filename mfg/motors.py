@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Hinge, MotorSeat
 from mfg.fields import Field, coverage
-from mfg.mounts import Mount, envelope_depth, motor_pose, mount_of
+from mfg.mounts import MIN_OVERLAP, Mount, envelope_depth, motor_pose, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.scores import body_install_score, body_overlap, motor_score, mount_balance
 
@@ -29,7 +29,7 @@ class MotorSolver:
         ring_steps, angle_steps: samples across and around the ring in which mount and bone overlap.
     """
 
-    min_overlap: float = 2.0e-6
+    min_overlap: float = MIN_OVERLAP
     alpha: float = 0.25
     scan: float = 0.040
     step: float = 2.0e-3

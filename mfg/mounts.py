@@ -34,6 +34,9 @@ BASE = 6e-3  # thickness of the base plate [m]
 DISC = 14e-3  # thickness of the connector [m]
 RIM = 9.5e-3  # how far the connector reaches beyond the housing [m]
 GAP = 1.0e-3  # running gap between parts that move against each other [m]
+MIN_OVERLAP = (
+    5.0e-6  # tau: least volume that each half of a mount must share with its bone, a seventh of a disc rim [m3]
+)
 BORE = 9e-3  # radius of the cable bore in the base plate [m]
 
 
