@@ -64,6 +64,22 @@ def main(args: argparse.Namespace) -> int:
     return DONE if result["latched"] is None else INFEASIBLE
 
 
+def dry_run(folder: Path, seconds: float = 10.0, log: Path | None = None) -> dict[str, Any]:
+    """Rehearse a bundle in simulated time; gives what `deploy --bus virtual --dry-run --json` prints.
+
+    Raises:
+        BundleError: The folder is not a bundle.
+        BadInput: It has no model to rehearse with.
+    """
+    from sim.actor import load_bundle
+
+    bundle = load_bundle(folder)
+    plant = _load_plant(folder, bundle)
+    args = argparse.Namespace(seconds=seconds, log=log)
+    with _rehearsal(bundle, plant, lock_step=True) as (motors, port, clock):
+        return _run(args, bundle, port, clock, motors, plant)
+
+
 def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIOD, config_hash: str = "") -> Bundle:
     """Make the policy bundle of a described robot: CAN ids from 1 in joint order, gains as the wire rounds them.
 

@@ -124,7 +124,7 @@ def test_kill_9_at_any_moment_loses_nothing(undisturbed: Path, tmp_path: Path, f
         process = subprocess.Popen([sys.executable, str(script), str(session % 3)], stdout=subprocess.PIPE)
         assert process.stdout is not None
         process.stdout.readline()
-        if kills < 4:
+        if kills < 3:
             time.sleep(moment.uniform(0.0, 0.08))
             os.kill(process.pid, signal.SIGKILL)
         status = process.wait()
@@ -137,7 +137,7 @@ def test_kill_9_at_any_moment_loses_nothing(undisturbed: Path, tmp_path: Path, f
         if status == 0:
             break
     assert status == 0
-    assert kills >= 3
+    assert kills >= 2
     assert dump(tmp_path / "run.sqlite") == dump(undisturbed / "run.sqlite")
     assert Checkpoint.load(tmp_path) == Checkpoint.load(undisturbed)
 

@@ -1,0 +1,343 @@
+"""Typed configuration files: TOML in, frozen records out, and one clear line for anything that is wrong."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import math
+import re
+import tomllib
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
+
+import msgspec
+from msgspec import Meta, Struct
+
+from experiments.output import SEED_BOUND, BadInput
+
+if TYPE_CHECKING:
+    from evo.fitness import FitnessRule
+    from sim.gaits import GaitBudget
+
+Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
+Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
+Workers = Annotated[int, Meta(ge=0, le=1024)]
+Solver = Literal["paper"]
+DecoderName = Literal["genome"]
+CatalogueName = Literal["paper"]
+
+# Words of the design that this version does not know yet.
+LATER = {
+    ("kind", "policy"): "training a policy",
+    ("decoder", "vae"): "the learned decoder",
+    ("solver", "search"): "the searching solvers",
+    ("catalogue", "auto"): "the choice of components per joint",
+}
+
+
+class Search(Struct, frozen=True, forbid_unknown_fields=True):
+    """CMA-ES over the latent space.
+
+    Attributes:
+        generations: how many.
+        popsize: candidates of each.
+        sigma: first standard deviation; 1 makes generation 0 a sample of the prior.
+    """
+
+    generations: Annotated[int, Meta(ge=1, le=1_000_000)] = 40
+    popsize: Annotated[int, Meta(ge=4, le=100_000)] = 22
+    sigma: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
+
+
+class Fitness(Struct, frozen=True, forbid_unknown_fields=True):
+    """How speed and manufacturability are combined, see `evo.fitness.FitnessRule`.
+
+    Attributes:
+        mode: the rule.
+        weight: of "penalty" [m/s].
+        bound: of "constraint".
+    """
+
+    mode: Literal["penalty", "constraint", "speed"] = "penalty"
+    weight: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.2
+    bound: Annotated[float, Meta(ge=0.0, le=5.0)] = 2.5
+
+    def rule(self) -> FitnessRule:
+        """As evolution wants it."""
+        from evo.fitness import FitnessRule
+
+        return FitnessRule(self.mode, self.weight, self.bound)
+
+
+class Gait(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the search for a gait may spend, see `sim.gaits.GaitBudget`."""
+
+    random: Annotated[int, Meta(ge=2, le=10_000)] = 24
+    random_seconds: Seconds = 3.0
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 6
+    population: Annotated[int, Meta(ge=4, le=10_000)] = 14
+    seconds: Seconds = 4.0
+    finalists: Annotated[int, Meta(ge=1, le=1000)] = 3
+    final_seconds: Seconds = 10.0
+    hopeless: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.005
+
+    def budget(self) -> GaitBudget:
+        """As the search wants it."""
+        from sim.gaits import GaitBudget
+
+        return GaitBudget(**msgspec.structs.asdict(self))
+
+
+THOROUGH = Gait(random=32, generations=14, population=16, seconds=6.0)
+
+
+class Finals(Struct, frozen=True, forbid_unknown_fields=True):
+    """The last round, on twins.
+
+    Attributes:
+        heat: how many of the best are built and measured together; further heats follow until one walks.
+        gait: budget of each.
+    """
+
+    heat: Annotated[int, Meta(ge=1, le=1000)] = 4
+    gait: Gait = THOROUGH
+
+
+class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
+    """An evolution.
+
+    Attributes:
+        kind: "evolve".
+        seed: of everything random.
+        decoder: what turns latents into bodies.
+        solver: how manufacturing constraints are solved.
+        catalogue: which components.
+        workers: processes; none given means one per core. It changes no result.
+        timeout: how long one evaluation may take before it is stopped [s].
+        search: the optimiser.
+        fitness: the rule.
+        gait: budget of every evaluation.
+        finals: the last round.
+    """
+
+    kind: Literal["evolve"]
+    seed: Seed = 0
+    decoder: DecoderName = "genome"
+    solver: Solver = "paper"
+    catalogue: CatalogueName = "paper"
+    workers: Workers | None = None
+    timeout: Annotated[float, Meta(ge=1.0, le=1e6)] = 300.0
+    search: Search = Search()
+    fitness: Fitness = Fitness()
+    gait: Gait = Gait()
+    finals: Finals = Finals()
+
+
+class Study(Struct, frozen=True, forbid_unknown_fields=True):
+    """The paper's experiment: what share of random bodies can be built, and what stops the others.
+
+    Attributes:
+        kind: "study".
+        n: how many bodies.
+        seed: of the draw.
+        decoder: what turns latents into bodies.
+        prior: law of the latents.
+        solver: how manufacturing constraints are solved.
+        catalogue: which components.
+        workers: processes; none given means one per core. It changes no result.
+    """
+
+    kind: Literal["study"]
+    n: Annotated[int, Meta(ge=1, le=10_000_000)] = 1000
+    seed: Seed = 0
+    decoder: DecoderName = "genome"
+    prior: Literal["normal", "uniform"] = "normal"
+    solver: Solver = "paper"
+    catalogue: CatalogueName = "paper"
+    workers: Workers | None = None
+
+
+class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
+    """A body that somebody painted: its blueprint, a gait for it and a dry run.
+
+    Attributes:
+        kind: "sketch".
+        design: the file (.npz or .vox); in a configuration file its path is relative to that file.
+        seed: of the search for a gait.
+        solver: how manufacturing constraints are solved.
+        catalogue: which components.
+        gait: budget of the search.
+    """
+
+    kind: Literal["sketch"]
+    design: Annotated[str, Meta(min_length=1)]
+    seed: Seed = 0
+    solver: Solver = "paper"
+    catalogue: CatalogueName = "paper"
+    gait: Gait = THOROUGH
+
+
+Config = Evolve | Study | Sketch
+KINDS: dict[str, type[Evolve] | type[Study] | type[Sketch]] = {"evolve": Evolve, "study": Study, "sketch": Sketch}
+
+
+def load_config(path: Path) -> Config:
+    """Read a configuration file.
+
+    Raises:
+        BadInput: naming the file, the key, its value, what is allowed and, for a typo, what was probably meant.
+        OSError: if it cannot be read.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise BadInput(f"{path} is not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path} is not a TOML file: {error}") from None
+    config = parse_config(document, str(path))
+    if isinstance(config, Sketch):
+        return msgspec.structs.replace(config, design=str((path.parent / config.design).resolve()))
+    return config
+
+
+def parse_config(document: dict[str, Any], name: str) -> Config:
+    """Check a document read from TOML.
+
+    Args:
+        document: tables and values.
+        name: of the file, for messages.
+
+    Raises:
+        BadInput: as `load_config`.
+    """
+    kind = document.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        known = " | ".join(f'"{k}"' for k in KINDS)
+        if kind is None:
+            raise BadInput(f"{name}: kind is missing; add a line kind = {known}")
+        raise BadInput(f"{name}: kind = {_shown(kind)}; it must be {known}{_remedy('kind', kind, list(KINDS))}")
+    _refuse(document, KINDS[kind], name, "")
+    config: Config = msgspec.convert(document, KINDS[kind])
+    return config
+
+
+def to_toml(config: Config) -> str:
+    """Write a configuration with every value, so that it says all there is to say about a run."""
+    return "".join(_toml_table(msgspec.to_builtins(config), ""))
+
+
+def config_hash(config: Config) -> str:
+    """16 hex digits over everything that can change a result."""
+    lines = [f"{key} = {_toml_value(value)}" for key, value in _flat(config) if key != "workers"]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+def differences(then: Config, now: Config) -> list[str]:
+    """What two configurations disagree on, but for `workers`, which changes no result."""
+    before, after = dict(_flat(then)), dict(_flat(now))
+    keys = [key for key in {**before, **after} if key != "workers" and before.get(key) != after.get(key)]
+    return [f"{key} was {_shown(before.get(key))} and is now {_shown(after.get(key))}" for key in keys]
+
+
+def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: str) -> None:
+    """Find the first thing that is wrong, in the order of the file."""
+    hints = typing.get_type_hints(record, include_extras=True)
+    for key, value in document.items():
+        full = prefix + key
+        if key not in hints:
+            raise BadInput(f"{name}: unknown key {full}{_remedy(key, key, list(hints), nouns=True)}")
+        hint = hints[key]
+        if isinstance(hint, type) and issubclass(hint, Struct):
+            if not isinstance(value, dict):
+                raise BadInput(f"{name}: {full} = {_shown(value)}; it must be a table: write [{full}]")
+            _refuse(value, hint, name, full + ".")
+            continue
+        finite = not isinstance(value, float) or math.isfinite(value)
+        try:
+            msgspec.convert(value, hint)
+        except msgspec.ValidationError:
+            finite = False
+        if not finite:
+            choices = [str(choice) for choice in get_args(hint)] if get_origin(hint) is Literal else []
+            raise BadInput(
+                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(key, value, choices)}"
+            )
+    for field in msgspec.structs.fields(record):
+        if field.required and field.name not in document:
+            raise BadInput(f"{name}: {prefix}{field.name} is missing; it must be {_allowed(hints[field.name])}")
+
+
+def _allowed(hint: Any) -> str:
+    """What a key takes, in words."""
+    if get_origin(hint) is Literal:
+        return " | ".join(f'"{choice}"' for choice in get_args(hint))
+    plain = [part for part in get_args(hint) if part is not type(None)]
+    if get_origin(hint) is not Annotated:  # X | None
+        return _allowed(plain[0])
+    base, meta = plain
+    if base is str:
+        return "a text that is not empty"
+    low = f"({meta.gt:g}" if meta.gt is not None else f"[{meta.ge:g}"
+    noun = "a whole number" if base is int else "a number"
+    return f"{noun} in {low}, {meta.le if base is int else format(meta.le, 'g')}]"
+
+
+def _remedy(key: str, value: object, known: list[str], nouns: bool = False) -> str:
+    """The end of a message: what was probably meant, or when it will come."""
+    if isinstance(value, str) and (key, value) in LATER:
+        return f"; {LATER[key, value]} arrives in a later version"
+    close = difflib.get_close_matches(str(value), known, n=1)
+    if close:
+        return f"; did you mean {close[0]}?" if nouns else f'; did you mean "{close[0]}"?'
+    return f"; known here are {', '.join(known)}" if nouns else ""
+
+
+def _shown(value: object) -> str:
+    """A value as one would write it in the file, cut short."""
+    if value is None:
+        return "not set"
+    try:
+        text = _toml_value(value)
+    except TypeError:
+        text = "a table" if isinstance(value, dict) else str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _flat(config: Config) -> Iterator[tuple[str, Any]]:
+    """Every value under its dotted key, in order."""
+
+    def walk(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+        for key, value in table.items():
+            if isinstance(value, dict):
+                yield from walk(value, f"{prefix}{key}.")
+            else:
+                yield prefix + key, value
+
+    return walk({k: v for k, v in msgspec.to_builtins(config).items() if v is not None}, "")
+
+
+def _toml_table(table: dict[str, Any], name: str) -> Iterator[str]:
+    """Values of a table first, then its tables; no value is None in TOML, so those are left out."""
+    if name:
+        yield f"\n[{name}]\n"
+    for key, value in table.items():
+        if value is not None and not isinstance(value, dict):
+            yield f"{key} = {_toml_value(value)}\n"
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _toml_table(value, f"{name}.{key}" if name else key)
+
+
+def _toml_value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda found: f"\\u{ord(found[0]):04x}", escaped) + '"'
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
+    raise TypeError(f"{type(value).__name__} has no place in a configuration")

@@ -1,0 +1,345 @@
+"""`bodyplan run`: any experiment from its TOML file into a run folder, resumable after Ctrl-C or a crash."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.output import DONE, INFEASIBLE, INTERRUPTED, BadInput, emit, make_folder, progress, say
+
+if TYPE_CHECKING:
+    from evo.evaluation import Evaluation
+    from evo.record import Record
+    from experiments.config import Evolve, Sketch
+
+HELP = "an experiment from its TOML file: evolution, study or sketch"
+
+RECORD, CONFIG, CHECKPOINT, BEST, REPORT, RESULT = (
+    "run.sqlite", "config.toml", "checkpoint", "best", "report.html", "result.json",
+)  # fmt: skip
+DEPENDENCIES = ("numpy", "scipy", "cma", "mujoco", "manifold3d", "scikit-image")  # whose versions can change a result
+OPTIMISER = 0  # purpose of the optimiser's randomness; candidates have theirs
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("config", type=Path, metavar="CONFIG.toml", help="what to do; see experiments/configs")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (runs/ and the name of the configuration)")
+    parser.add_argument("--resume", action="store_true", help="go on with the run in DIR if there is one")
+    parser.add_argument("--workers", type=_workers, help="processes; 0 works in this one (one per core)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the experiment; status 1 if nothing that can be built came of it, 3 if it was interrupted."""
+    from experiments.config import Evolve, Sketch, load_config
+
+    config = load_config(args.config)
+    folder = args.out or Path("runs") / args.config.stem
+    try:
+        with _terminable():
+            if isinstance(config, Evolve):
+                result = run_evolution(config, folder, args.resume, args.workers)
+            elif isinstance(config, Sketch):
+                result = run_sketch(config, folder, args.resume)
+            else:
+                from experiments.study import run_study
+
+                return run_study(config, folder, args)
+    except KeyboardInterrupt:
+        again = f"bodyplan run {args.config} --out {folder} --resume"
+        say(f"\nbodyplan: interrupted; everything that was finished is saved. Go on with: {again}")
+        return INTERRUPTED
+    if args.json:
+        emit(result)
+    return DONE if result["winner"] is not None else INFEASIBLE
+
+
+def run_evolution(config: Evolve, folder: Path, resume: bool, workers: int | None) -> dict[str, Any]:
+    """Evolve, choose the winner on its built twin, and write the run folder.
+
+    Args:
+        config: the experiment.
+        folder: of the run.
+        resume: go on if a run is there already.
+        workers: overrides the configuration's number; it changes no result.
+
+    Raises:
+        BadInput: if a run is there and `resume` is not set, or it was made with another configuration.
+        OSError: if the folder cannot be written.
+    """
+    make_folder(folder)
+    with _locked(folder), _opened(config, folder, resume) as record:
+        finished = _finished(folder)
+        if finished is not None:
+            say(f"{folder} is finished; its report is {folder / REPORT}")
+            return finished
+        started = time.monotonic()
+        count = workers if workers is not None else config.workers
+        _evolve(config, record, folder, _cores() if count is None else count)
+        result = _conclude(config, record, folder, round(time.monotonic() - started, 1))
+    say(_summary(result))
+    return result
+
+
+def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
+    """Ask, evaluate and tell to the last generation, then hold the finals; only what is missing is worked out."""
+    import numpy as np
+
+    from decoder.latent import LATENT_DIM
+    from evo.cma_es import CmaEs
+    from evo.evaluate import Evaluate, EvaluateTwin
+    from evo.evaluation import Candidate, Evaluation
+    from evo.finals import finals
+    from evo.loop import ResumeError, evolve
+    from evo.pool import Pool
+
+    rule, search = config.fitness.rule(), config.search
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(OPTIMISER,)))
+    optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma)
+    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget())
+    total = search.generations * search.popsize - record.count()
+    if total:
+        say(f"{total} evaluations to go: {search.generations} generations of {search.popsize}, {workers} workers")
+    try:
+        with Pool[Candidate, Evaluation](evaluate, workers, config.timeout) as pool:
+            found = evolve(optimiser, record, pool, search.generations, folder / CHECKPOINT)
+            for _ in progress(found, total, "evolving") if total else found:
+                pass
+    except ResumeError as error:
+        raise BadInput(f"{folder}: {error}") from None
+    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget())
+    with Pool[Evaluation, Evaluation](twin, workers, config.timeout) as pool:
+        for _ in progress(finals(record, pool, config.finals.heat), None, "finals"):
+            pass
+
+
+def _conclude(config: Evolve, record: Record, folder: Path, seconds: float) -> dict[str, Any]:
+    """Write the winner's folder, the result and the report; the report comes last, so whoever sees it sees all."""
+    from evo.evaluate import decode
+    from evo.finals import winner
+    from experiments.best import write_best
+    from experiments.config import config_hash
+    from mfg.pipeline import build
+
+    champion = winner(record)
+    evaluations = record.evaluations()
+    result: dict[str, Any] = {
+        "kind": "evolve",
+        "out": str(folder),
+        "evaluations": len(evaluations),
+        "passed": sum(e.passed for e in evaluations),
+        "winner": None,
+    }
+    if champion is not None and champion.walk is not None:
+        say("writing the winner's blueprint, policy, video and dry run")
+        outcome = build(decode(config.decoder, champion.candidate))
+        best = write_best(folder / BEST, outcome, champion.walk.gait, config_hash(config))
+        result["winner"] = _described(champion, best.behaviour, best.dry_run)
+    _write_report(folder)
+    result["seconds"] = seconds
+    _write_json(folder / RESULT, result)
+    return result
+
+
+def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
+    """Build a painted body, find a gait for its twin, and write its folder.
+
+    Raises:
+        BadInput: if the folder holds a result and `resume` is not set, or the design cannot be used.
+        OSError: if the folder cannot be written.
+    """
+    import numpy as np
+
+    from experiments.best import write_best
+    from experiments.build import read_design
+    from experiments.config import config_hash, to_toml
+    from mfg.description import describe
+    from mfg.pipeline import build
+    from sim.gaits import search_gait
+
+    design = read_design(Path(config.design))
+    make_folder(folder)
+    with _locked(folder):
+        if (folder / RESULT).exists() and not resume:
+            raise BadInput(f"{folder} holds a result already; choose another --out, or --resume to make it again")
+        (folder / CONFIG).write_text(to_toml(config), encoding="utf-8")
+        outcome = build(design)
+        result: dict[str, Any] = {"kind": "sketch", "out": str(folder), **outcome.to_json(str(folder)), "winner": None}
+        if outcome.ok:
+            say("looking for a gait")
+            rng = np.random.default_rng(np.random.SeedSequence(config.seed))
+            found = search_gait(describe(outcome.blueprint), rng, config.gait.budget())
+            say("writing blueprint, policy, video and dry run")
+            best = write_best(folder / BEST, outcome, found.gait, config_hash(config))
+            result["winner"] = {"design": design.key, **best.behaviour, "dry_run": best.dry_run}
+        else:
+            say(f"bodyplan: {config.design} cannot be built: {outcome.failure}")
+        _write_json(folder / RESULT, result)
+    return result
+
+
+def _described(champion: Evaluation, behaviour: dict[str, Any], dry_run: dict[str, Any]) -> dict[str, Any]:
+    walk = champion.walk
+    return {
+        "design": champion.design,
+        "generation": champion.candidate.generation,
+        "candidate": champion.candidate.index,
+        "fitness": champion.fitness,
+        "s_mfg": champion.scores.total,
+        "joints": 0 if walk is None else walk.gait.num_joints,
+        "mass_kg": 0.0 if walk is None else walk.mass,
+        **behaviour,
+        "dry_run": dry_run,
+    }
+
+
+def _summary(result: dict[str, Any]) -> str:
+    """The run in a few lines, for people."""
+    rows = [("evaluated", f"{result['evaluations']} bodies, {result['passed']} can be built")]
+    best = result["winner"]
+    if best is None:
+        rows.append(("winner", "none: no candidate could be built and walks; try more generations or another seed"))
+    else:
+        lengths = best["distance_m"] / best["body_length_m"]
+        dry = best["dry_run"]
+        tracking = dry.get("tracking_rms_rad")
+        rows += [
+            ("winner", f"{best['design']} of generation {best['generation']}"),
+            ("body", f"{best['joints']} joints, {best['mass_kg']:.2f} kg, {best['body_length_m']:.2f} m, "
+                     f"S_mfg {best['s_mfg']:.2f} of 5"),
+            ("walks", f"{best['distance_m']:.2f} m in {best['seconds']:g} s, {lengths:.1f} body lengths"),
+            ("dry run", f"{dry.get('ticks')} ticks, joints track to {tracking if tracking is None else round(tracking, 3)}"
+                        f" rad, {dry.get('state')}"),
+            ("print it", str(Path(result["out"]) / BEST / "blueprint")),
+        ]  # fmt: skip
+    rows.append(("read", str(Path(result["out"]) / REPORT)))
+    return "\n".join(f"  {name:10} {text}" for name, text in rows)
+
+
+@contextlib.contextmanager
+def _opened(config: Evolve, folder: Path, resume: bool) -> Iterator[Record]:
+    """The run file, made or found; a run of another configuration is refused."""
+    from evo.record import Record
+    from experiments.config import config_hash, to_toml
+
+    path, popsize = folder / RECORD, config.search.popsize
+    if path.exists():
+        if not resume:
+            raise BadInput(f"{folder} holds a run already; go on with it by --resume, or choose another --out")
+        _check_past(path, config)
+    else:
+        if resume:
+            say(f"{folder} holds no run yet: starting it")
+        (folder / CHECKPOINT).mkdir(exist_ok=True)
+        versions = _versions()
+        (folder / CONFIG).write_text(to_toml(config), encoding="utf-8")
+        Record.create(
+            path, popsize,
+            {"config": to_toml(config), "config_hash": config_hash(config), "seed": str(config.seed),
+             "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions)},
+        ).close()  # fmt: skip
+    (folder / CHECKPOINT).mkdir(exist_ok=True)
+    with Record(path, popsize) as record:
+        yield record
+
+
+def _check_past(path: Path, config: Evolve) -> None:
+    import tomllib
+
+    from evo.record import Record
+    from experiments.config import differences, parse_config
+
+    with Record(path, config.search.popsize) as record:
+        meta = record.meta()
+    then = parse_config(tomllib.loads(meta["config"]), f"{path}, meta")
+    changes = differences(then, config)
+    if changes:
+        raise BadInput(
+            f"{path.parent} was made with another configuration: {'; '.join(changes)}; "
+            f"resume with {path.parent / CONFIG}, or choose another --out"
+        )
+    before, now = json.loads(meta["versions"]), _versions()
+    other = [f"{name} was {before.get(name)} and is now {now[name]}" for name in now if before.get(name) != now[name]]
+    if other:
+        say(f"note: {'; '.join(other)}: the rest of this run may differ from what it would have been")
+
+
+def _finished(folder: Path) -> dict[str, Any] | None:
+    """The result of a run that is complete."""
+    if not (folder / REPORT).exists() or not (folder / RESULT).exists():
+        return None
+    result: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    return result
+
+
+def _write_report(folder: Path) -> None:
+    from analysis.report import write_report
+
+    write_report(folder)
+
+
+def _versions() -> dict[str, str]:
+    import platform
+    from importlib.metadata import version
+
+    from experiments.cli import VERSION
+
+    return {"bodyplan": VERSION, "python": platform.python_version(), **{name: version(name) for name in DEPENDENCIES}}
+
+
+def _write_json(path: Path, value: dict[str, Any]) -> None:
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+
+
+def _workers(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if not 0 <= value <= 1024:
+        raise argparse.ArgumentTypeError(f"{value} is out of bounds; it must lie in [0, 1024]")
+    return value
+
+
+def _cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep a second process from writing the same run; a killed one leaves no lock behind."""
+    import fcntl
+
+    with (folder / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BadInput(
+                f"{folder} is being written by another process; wait for it or choose another --out"
+            ) from None
+        yield
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Treat a cluster's polite request to stop like Ctrl-C."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
