@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -97,7 +97,7 @@ class ElectronicsSolver:
         """The best accepted orientation of one or both boxes in a host, or how far the closest one is from it."""
         if not (host.free.values > 0).any():
             return _Found(host, (), -max(sizes["battery"]))
-        layouts = _Layouts.of([sizes[kind] for kind in kinds], self.clearance, self.wall)
+        layouts = _layouts(tuple(sizes[kind] for kind in kinds), self.clearance, self.wall)
         best: tuple[float, float, tuple[BoxSeat, ...]] | None = None
         margin = -math.inf
         for frame in host.frames:
@@ -205,26 +205,27 @@ class _Layouts:
     centre: Array
     half: Array
 
-    @staticmethod
-    def of(sizes: list[Size], clearance: float, wall: float) -> _Layouts:
-        """All orders of one box at the origin, or of two side by side along any axis, centred together."""
-        halves = [np.array(size)[ORDERS] / 2 + clearance for size in sizes]
-        if len(sizes) == 1:
-            return _Layouts(np.arange(6)[:, None], np.zeros((6, 1, 3)), halves[0][:, None])
-        order, centre, half = [], [], []
-        for axis, a, b, side in itertools.product(range(3), range(6), range(6), (1.0, -1.0)):
-            pair = np.stack([halves[0][a], halves[1][b]])
-            total = pair[:, axis].sum() + wall / 2  # Half of what both take along the axis.
-            place = np.zeros((2, 3))
-            place[0, axis], place[1, axis] = side * (pair[0, axis] - total), side * (total - pair[1, axis])
-            order.append((a, b))
-            centre.append(place)
-            half.append(pair)
-        return _Layouts(np.array(order), np.array(centre), np.array(half))
-
     def only(self, rows: NDArray[np.int64]) -> _Layouts:
         """Some of the layouts."""
         return _Layouts(self.order[rows], self.centre[rows], self.half[rows])
+
+
+@lru_cache(maxsize=16)
+def _layouts(sizes: tuple[Size, ...], clearance: float, wall: float) -> _Layouts:
+    """All orders of one box at the origin, or of two side by side along any axis, centred together."""
+    halves = [np.array(size)[ORDERS] / 2 + clearance for size in sizes]
+    if len(sizes) == 1:
+        return _Layouts(np.arange(6)[:, None], np.zeros((6, 1, 3)), halves[0][:, None])
+    order, centre, half = [], [], []
+    for axis, a, b, side in itertools.product(range(3), range(6), range(6), (1.0, -1.0)):
+        pair = np.stack([halves[0][a], halves[1][b]])
+        total = pair[:, axis].sum() + wall / 2  # Half of what both take along the axis.
+        place = np.zeros((2, 3))
+        place[0, axis], place[1, axis] = side * (pair[0, axis] - total), side * (total - pair[1, axis])
+        order.append((a, b))
+        centre.append(place)
+        half.append(pair)
+    return _Layouts(np.array(order), np.array(centre), np.array(half))
 
 
 @dataclass(frozen=True, eq=False)

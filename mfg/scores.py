@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull
 
 from mfg.blueprint import Blueprint, MotorSeat
 from mfg.catalogue import Catalogue, Size
@@ -20,9 +20,7 @@ from mfg.mounts import Mount, connector_depth, holder_depth, mount_of
 CABLE_ALPHA = 0.5  # weight of curvature against length: a sharp bend can be pulled through, a missing metre cannot
 CABLE_LENGTH = 2.0  # 1 / lambda_L: cable of one drum-side harness, at which the length term has fallen to 1/e [m]
 BEND_MARGIN = 1.0  # 1 / lambda_kappa in units of 1 / (least bend radius of the cable)
-OVERLAP_VOLUME = (
-    5.0e-5  # lambda of Eq. 9: half of one J60 holder cup with its motor, 1/e where one mount is buried [m3]
-)
+OVERLAP_VOLUME = 1.7e-4  # lambda of Eq. 9: the ring around one J60, all that its mount can share with a bone [m3]
 SIZE_SHARE = 0.8  # share of the printer's volume, in its tightest direction, above which a body counts as large
 
 
@@ -65,17 +63,16 @@ def largest_clearance(depth: Field) -> float:
     The field ranks the places; the radius itself is the distance to the surface phi = 0, so that a field smoothed deep
     inside does not matter. Exact up to the curvature of the surface between lattice lines.
     """
-    tree = cKDTree(crossings(depth))
+    surface = crossings(depth)
     inside = np.argwhere(depth.values > 0)
-    order = np.argsort(-depth.values[tuple(inside.T)], kind="stable")[:300]
-    places = (inside[order] + depth.corner) * depth.spacing
-    radius = np.asarray(tree.query(places)[0])
-    best = places[np.argsort(-radius, kind="stable")[:8]]
-    steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    order = np.argsort(-depth.values[tuple(inside.T)], kind="stable")[:100]
+    tried = (inside[order] + depth.corner) * depth.spacing
+    steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    radius = _distance(tried, surface)
     for scale in (2, 4, 8):
-        tried = best[:, None] + steps * (depth.spacing / scale)
-        radius = np.asarray(tree.query(tried.reshape(-1, 3))[0]).reshape(tried.shape[:2])
-        best = np.take_along_axis(tried, radius.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+        best = tried[np.argsort(-radius, kind="stable")[:4]]
+        tried = (best + steps * (depth.spacing / scale)).reshape(-1, 3)
+        radius = _distance(tried, surface)
     return float(radius.max())
 
 
@@ -100,24 +97,23 @@ def oriented_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
     Args:
         points: (n, 3), not all in one plane.
     """
-    turn = np.arange(400) * (np.pi * (3 - np.sqrt(5)))  # Points all around a sphere, on a golden spiral.
-    z = 1 - (2 * np.arange(400) + 1) / 400
+    count = 120
+    turn = np.arange(count) * (np.pi * (3 - np.sqrt(5)))  # Directions all around, on a golden spiral.
+    z = 1 - (2 * np.arange(count) + 1) / count
     ring = np.sqrt(1 - z**2)
     around = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), z])
-    # The hull of the extreme points in 400 directions stands for the hull of all of them.
-    extreme = points[np.unique((points @ around.T).argmax(axis=0))]
+    # The hull of the extreme points in these directions proposes the frames; all points measure the best.
+    extreme = points[np.unique((around @ points.T).argmax(axis=1))]
     hull = ConvexHull(extreme)
-    corner = extreme[hull.simplices]
-    normal = hull.equations[:, :3]
-    best = np.ptp(extreme, axis=0)
-    for edge in range(3):
-        x = corner[:, (edge + 1) % 3] - corner[:, edge]
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
-        frames = np.stack([x, np.cross(normal, x), normal], axis=1)
-        extents = np.ptp(frames @ extreme.T, axis=2)
-        candidate = extents[extents.prod(axis=1).argmin()]
-        best = min(best, candidate, key=lambda e: float(e.prod()))
-    return best
+    corner, normal = extreme[hull.simplices], hull.equations[:, :3]
+    x = (np.roll(corner, -1, axis=1) - corner).reshape(-1, 3)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    z = np.repeat(normal, 3, axis=0)
+    frames = np.stack([x, np.cross(z, x), z], axis=1)
+    spread = frames @ extreme.T
+    volume = (spread.max(axis=2) - spread.min(axis=2)).prod(axis=1)
+    turned = np.ptp(points @ frames[volume.argmin()].T, axis=0)
+    return min(np.ptp(points, axis=0), turned, key=lambda e: float(e.prod()))
 
 
 def electronics_scale(catalogue: Catalogue) -> float:
@@ -227,6 +223,14 @@ def _united(bone: Field, seats: list[MotorSeat], index: int, mount: Mount) -> Fi
         depth = holder_depth if seat.holder == index else connector_depth
         values[there] = np.maximum(values[there], depth(points, seat.T_design_motor, mount))
     return Field(values, (int(low[0]), int(low[1]), int(low[2])), bone.spacing)
+
+
+def _distance(points: NDArray[np.float64], surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance from each point (n, 3) to the nearest of the surface points (m, 3) [m]."""
+    origin = surface.mean(axis=0)
+    p, s = points - origin, surface - origin
+    squared = (p**2).sum(axis=1) + ((s**2).sum(axis=1) - 2 * p @ s.T).min(axis=1)
+    return np.sqrt(np.maximum(squared, 0.0))
 
 
 def _normals(depth: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.float32]:
