@@ -27,12 +27,13 @@ Workers = Annotated[int, Meta(ge=0, le=1024)]
 Solver = Literal["paper"]
 DecoderName = Literal["genome"]
 CatalogueName = Literal["paper"]
+Prior = Literal["normal", "uniform"]
 
 # Words of the design that this version does not know yet.
 LATER = {
     ("kind", "policy"): "training a policy",
     ("decoder", "vae"): "the learned decoder",
-    ("solver", "search"): "the searching solvers",
+    ("solver", "search"): "searching by the solvers",
     ("catalogue", "auto"): "the choice of components per joint",
 }
 
@@ -90,7 +91,13 @@ class Gait(Struct, frozen=True, forbid_unknown_fields=True):
         return GaitBudget(**msgspec.structs.asdict(self))
 
 
-THOROUGH = Gait(random=32, generations=14, population=16, seconds=6.0)
+class ThoroughGait(Gait, frozen=True, forbid_unknown_fields=True):
+    """The same for a body that will be built: keys that are left out have larger values."""
+
+    random: Annotated[int, Meta(ge=2, le=10_000)] = 32
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 14
+    population: Annotated[int, Meta(ge=4, le=10_000)] = 16
+    seconds: Seconds = 6.0
 
 
 class Finals(Struct, frozen=True, forbid_unknown_fields=True):
@@ -102,7 +109,7 @@ class Finals(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     heat: Annotated[int, Meta(ge=1, le=1000)] = 4
-    gait: Gait = THOROUGH
+    gait: ThoroughGait = ThoroughGait()
 
 
 class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
@@ -153,7 +160,7 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
     n: Annotated[int, Meta(ge=1, le=10_000_000)] = 1000
     seed: Seed = 0
     decoder: DecoderName = "genome"
-    prior: Literal["normal", "uniform"] = "normal"
+    prior: Prior = "normal"
     solver: Solver = "paper"
     catalogue: CatalogueName = "paper"
     workers: Workers | None = None
@@ -176,7 +183,7 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
     seed: Seed = 0
     solver: Solver = "paper"
     catalogue: CatalogueName = "paper"
-    gait: Gait = THOROUGH
+    gait: ThoroughGait = ThoroughGait()
 
 
 Config = Evolve | Study | Sketch

@@ -210,14 +210,13 @@ def _summary(result: dict[str, Any]) -> str:
     else:
         lengths = best["distance_m"] / best["body_length_m"]
         dry = best["dry_run"]
-        tracking = dry.get("tracking_rms_rad")
+        off = "never drove" if dry["tracking_rms_rad"] is None else f"joints track to {dry['tracking_rms_rad']:.3f} rad"
         rows += [
             ("winner", f"{best['design']} of generation {best['generation']}"),
             ("body", f"{best['joints']} joints, {best['mass_kg']:.2f} kg, {best['body_length_m']:.2f} m, "
                      f"S_mfg {best['s_mfg']:.2f} of 5"),
             ("walks", f"{best['distance_m']:.2f} m in {best['seconds']:g} s, {lengths:.1f} body lengths"),
-            ("dry run", f"{dry.get('ticks')} ticks, joints track to {tracking if tracking is None else round(tracking, 3)}"
-                        f" rad, {dry.get('state')}"),
+            ("dry run", f"{dry['ticks']} periods on the virtual bus, {off}"),
             ("print it", str(Path(result["out"]) / BEST / "blueprint")),
         ]  # fmt: skip
     rows.append(("read", str(Path(result["out"]) / REPORT)))
