@@ -49,14 +49,12 @@ def main(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         stack.enter_context(_stop_on_signals())
         if args.bus == VIRTUAL:
-            plant = _load_plant(args.bundle, bundle)
-            motors, port, clock = stack.enter_context(_rehearsal(bundle, plant, lock_step=args.dry_run))
-            result = _run(args, bundle, port, clock, motors, plant)
+            result = _rehearse(args.bundle, bundle, args.seconds, args.log, lock_step=args.dry_run)
         else:
             port = open_port(args.bus)
             stack.callback(port.close)
             say("no IMU is connected: the tilt guard is off; keep a hand on the power switch")
-            result = _run(args, bundle, port, RealClock())
+            result = _run(bundle, args.seconds, args.log, port, RealClock())
     if args.json:
         emit(result)
     else:
@@ -65,19 +63,23 @@ def main(args: argparse.Namespace) -> int:
 
 
 def dry_run(folder: Path, seconds: float = 10.0, log: Path | None = None) -> dict[str, Any]:
-    """Rehearse a bundle in simulated time; gives what `deploy --bus virtual --dry-run --json` prints.
+    """Rehearse a bundle on simulated motors in simulated time, always with the same result.
+
+    Args:
+        folder: Of the bundle, with its model.
+        seconds: How long the policy drives.
+        log: Where to write the frames, or None.
+
+    Returns:
+        What `bodyplan deploy --dry-run --json` prints.
 
     Raises:
-        BundleError: The folder is not a bundle.
-        BadInput: It has no model to rehearse with.
+        BundleError: The bundle is unusable.
+        BadInput: Its model is missing or unusable.
     """
     from sim.actor import load_bundle
 
-    bundle = load_bundle(folder)
-    plant = _load_plant(folder, bundle)
-    args = argparse.Namespace(seconds=seconds, log=log)
-    with _rehearsal(bundle, plant, lock_step=True) as (motors, port, clock):
-        return _run(args, bundle, port, clock, motors, plant)
+    return _rehearse(folder, load_bundle(folder), seconds, log, lock_step=True)
 
 
 def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIOD, config_hash: str = "") -> Bundle:
@@ -147,37 +149,34 @@ def _load_plant(folder: Path, bundle: Bundle) -> Plant:
         raise BadInput(f"{folder / MODEL_FILE}: {error}") from None
 
 
-@contextlib.contextmanager
-def _rehearsal(bundle: Bundle, plant: Plant, lock_step: bool) -> Iterator[tuple[VirtualMotors, Port, Clock]]:
-    """Attach simulated motors to a virtual bus; gives them, our end of the bus and the clock to run by."""
+def _rehearse(folder: Path, bundle: Bundle, seconds: float, log: Path | None, lock_step: bool) -> dict[str, Any]:
+    """Run a bundle against simulated motors on a virtual bus, in simulated or in real time."""
     import threading
 
     from hardware.bus import RealClock, open_virtual_pair
     from hardware.virtual import LockStepPort, VirtualMotors
 
+    plant = _load_plant(folder, bundle)
     ours, theirs = open_virtual_pair()
-    ids = [joint.can_id for joint in bundle.joints]
-    motors = VirtualMotors(theirs, plant, ids, [joint.sign for joint in bundle.joints])
-    try:
+    ids, signs = [joint.can_id for joint in bundle.joints], [joint.sign for joint in bundle.joints]
+    motors = VirtualMotors(theirs, plant, ids, signs)
+    with contextlib.ExitStack() as stack:
+        stack.callback(theirs.close)
+        stack.callback(ours.close)
         if lock_step:
-            yield motors, LockStepPort(ours, motors), motors
-            return
+            return _run(bundle, seconds, log, LockStepPort(ours, motors), motors, motors, plant)
         stop, clock = threading.Event(), RealClock()
         thread = threading.Thread(target=motors.serve_forever, args=(stop, clock), name="motors", daemon=True)
         thread.start()
-        try:
-            yield motors, ours, clock
-        finally:
-            stop.set()
-            thread.join()
-    finally:
-        ours.close()
-        theirs.close()
+        stack.callback(thread.join)
+        stack.callback(stop.set)
+        return _run(bundle, seconds, log, ours, clock, motors, plant)
 
 
 def _run(
-    args: argparse.Namespace,
     bundle: Bundle,
+    seconds: float,
+    log: Path | None,
     port: Port,
     clock: Clock,
     motors: VirtualMotors | None = None,
@@ -190,9 +189,9 @@ def _run(
     from hardware.log import Journal
     from hardware.robot import Robot, Schedule, State
 
-    schedule = Schedule(policy=args.seconds)
-    seconds = schedule.passive + schedule.ramp + schedule.hold + schedule.policy + schedule.damping
-    bar = progress(range(10**9), round(seconds / bundle.dt), "deploy")
+    schedule = Schedule(policy=seconds)
+    length = schedule.passive + schedule.ramp + schedule.hold + schedule.policy + schedule.damping
+    bar = progress(range(10**9), round(length / bundle.dt), "deploy")
     track: list[tuple[float, Any]] = []
 
     def watch(tick: Tick) -> None:
@@ -201,15 +200,16 @@ def _run(
             track.append((tick.index * bundle.dt, plant.base_position))
 
     with contextlib.ExitStack() as stack:
-        journal = None if args.log is None else stack.enter_context(Journal(args.log, port, clock))
+        journal = None if log is None else stack.enter_context(Journal(log, port, clock))
         robot = Robot(MotorBus(journal or port, clock), clock, bundle, schedule=schedule)
         summary = drive(robot, clock, None if motors is None else motors.imu, journal, watch)
     if summary.unconfirmed:
         say(f"motors {list(summary.unconfirmed)} did not confirm that they are off: cut the power")
-    speed = None
+    speed = distance = None
     if len(track) > 1:
         (begin, start), (end, finish) = track[0], track[-1]
-        speed = float(np.hypot(*(finish - start)[:2])) / (end - begin)
+        distance = float(np.hypot(*(finish - start)[:2]))
+        speed = distance / (end - begin)
     return {
         "ticks": summary.ticks,
         "overruns": summary.overruns,
@@ -217,12 +217,13 @@ def _run(
         "speed_m_s": speed,
         "state": str(summary.state),
         "latched": None if summary.trip is None else summary.trip.as_json(),
+        "distance_m": distance,
         "worst_lateness_s": summary.worst_lateness,
         "worst_jitter_s": summary.worst_jitter,
         "peak_torque_Nm": summary.peak_torque,
         "rms_torque_Nm": summary.rms_torque,
         "unconfirmed_off": list(summary.unconfirmed),
-        "log": None if args.log is None else str(args.log),
+        "log": None if log is None else str(log),
     }
 
 
