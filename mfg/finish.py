@@ -22,7 +22,7 @@ from mfg.exact import (
 from mfg.fields import Field
 from mfg.masses import body_masses
 from mfg.motors import MotorSolver
-from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
+from mfg.mounts import Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
 from mfg.scores import (
