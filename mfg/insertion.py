@@ -99,14 +99,14 @@ class Room:
             half: half extents of these cavities [m], (..., 3).
         """
         outer = outer_surface(blueprint.bodies[host])
-        inside = ((np.argwhere(outer.values > 0) + outer.corner) * outer.spacing - anchor) @ frame
-        headroom = 2 * float(half.max())
-        lateral = float((np.abs(centre) + half).max()) + spacing
+        inside = ((np.argwhere(outer.values[::2, ::2, ::2] > 0) * 2 + outer.corner) * outer.spacing - anchor) @ frame
+        headroom = 2 * half.reshape(-1, 3).max(axis=0)
+        lateral = (np.abs(centre) + half).reshape(-1, 3).max(axis=0) + spacing
         self.spacing = spacing
         self.low = np.floor((inside.min(axis=0) - headroom) / spacing) * spacing
         self.shape = np.ceil((inside.max(axis=0) + headroom - self.low) / spacing).astype(int)
         axes = [self.low[a] + (np.arange(self.shape[a]) + 0.5) * spacing for a in range(3)]
-        narrow = [np.abs(axis) <= lateral for axis in axes]
+        narrow = [np.abs(along) <= reach for along, reach in zip(axes, lateral, strict=True)]
         # A shaft runs along one axis and stays narrow across the two others.
         x, y, z = narrow[0][:, None, None], narrow[1][None, :, None], narrow[2][None, None, :]
         cells = np.nonzero((x & y) | (x & z) | (y & z))
@@ -119,12 +119,12 @@ class Room:
         # Summed-volume table: entry (i, j, k) is the volume in the first i, j, k cells.
         table = np.pad(filled, ((1, 0),) * 3).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2)
         self.table = table * spacing**3
-        self.top = []
-        for axis in range(3):
-            number = np.arange(1, self.shape[axis] + 1).reshape([-1 if a == axis else 1 for a in range(3)])
-            last = np.where(own, number, 0).max(axis=axis)
-            first = np.where(own, number - 1, self.shape[axis]).min(axis=axis)
-            self.top.append((first, last))
+        # Of every column along each axis: the edges between which the host has matter.
+        self.extent = [
+            (np.where(own.any(axis=a), n - np.flip(own, a).argmax(axis=a), 0),
+             np.where(own.any(axis=a), own.argmax(axis=a), n))
+            for a, n in enumerate(self.shape)
+        ]  # fmt: skip
 
     def shafts(self, centre: Array, half: Array, axis: int, sign: int) -> tuple[Array, Array, Array]:
         """Corners (n, 3) of the room that each module passes through, and the length of its shaft (n,) [m].
@@ -136,7 +136,7 @@ class Room:
         across = [a for a in range(3) if a != axis]
         start = np.floor((low[:, across] - self.low[across]) / self.spacing).astype(int)
         stop = np.ceil((high[:, across] - self.low[across]) / self.spacing).astype(int)
-        first, last = self.top[axis]
+        last, first = self.extent[axis]
         mouth = np.zeros(len(centre))
         for i, ((p, q), (r, s)) in enumerate(zip(start, stop, strict=True)):
             mouth[i] = last[p:r, q:s].max() if sign > 0 else first[p:r, q:s].min()

@@ -64,9 +64,9 @@ def largest_clearance(depth: Field) -> float:
     inside does not matter. Exact up to the curvature of the surface between lattice lines.
     """
     surface = crossings(depth)
-    inside = np.argwhere(depth.values > 0)
-    order = np.argsort(-depth.values[tuple(inside.T)], kind="stable")[:100]
-    tried = (inside[order] + depth.corner) * depth.spacing
+    deep = np.argwhere(depth.values > max(0.0, float(depth.values.max()) - 2 * depth.spacing))
+    order = np.argsort(-depth.values[tuple(deep.T)], kind="stable")[:60]
+    tried = np.asarray((deep[order] + depth.corner) * depth.spacing, np.float64)
     steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
     radius = _distance(tried, surface)
     for scale in (2, 4, 8):
@@ -230,7 +230,7 @@ def _distance(points: NDArray[np.float64], surface: NDArray[np.float64]) -> NDAr
     origin = surface.mean(axis=0)
     p, s = points - origin, surface - origin
     squared = (p**2).sum(axis=1) + ((s**2).sum(axis=1) - 2 * p @ s.T).min(axis=1)
-    return np.sqrt(np.maximum(squared, 0.0))
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)), np.float64)
 
 
 def _normals(depth: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.float32]:

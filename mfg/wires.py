@@ -212,7 +212,7 @@ class _Net:
         share = np.linspace(0, 1, 7)[1:, None]
         along = points[:, None, None] + share * (self.vertices[near] - points[:, None])[:, :, None]
         distance = self.hardware.distance(along.reshape(-1, 3)).reshape(-1, *near.shape, len(share))
-        clear = (distance >= need[:, None, None, None] - 1e-6).all(axis=(0, 3))
+        clear = np.asarray((distance >= need[:, None, None, None] - 1e-6).all(axis=(0, 3)))
         some = np.flatnonzero(clear.any(axis=1))
         pick = clear[some].argmax(axis=1)
         length = hop[some, pick]
@@ -222,12 +222,12 @@ class _Net:
     def route(self, seat: int, earlier: list[Array]) -> tuple[Array, str] | None:
         """Path (k, 3) from the controller to a motor, and what it had to give up, or None if there is none."""
         need = self.hardware.needs(seat, self.radius, self.gap)
-        solid: Mask = np.any(self.distance < need[:, None], axis=0)
+        solid = np.asarray((self.distance - need[:, None]).min(axis=0) < 0)
         apart = 2 * self.radius + self.gap
         taken, used = np.zeros(len(self.vertices), bool), np.zeros(len(self.starts), bool)
         for path in earlier:
             taken[np.unique(np.concatenate(self.tree.query_ball_point(path, apart)).astype(int))] = True
-            used |= np.any(np.linalg.norm(self.starts[:, None] - path, axis=2) < apart, axis=1)
+            used |= np.asarray(np.linalg.norm(self.starts[:, None] - path, axis=2).min(axis=1) < apart)
         for blocked, closed, compromise in (
             (solid | self.in_shaft | taken, used, ""),
             (solid | self.in_shaft, np.zeros_like(used), "shares a channel with an earlier wire"),
