@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 FIRMWARE = b"\x01\x00"
 ROOM_TEMPERATURE = 25.0  # [C]
+_REQUEST_SIZES = {code.value: size for code, (size, _) in j60.SIZES.items()}
 REAL_TIME_STEP = 0.002  # how often the plant catches up with the wall clock [s]
 
 
@@ -219,8 +220,7 @@ class VirtualMotors:
     def _answer(self, index: int, number: int, data: bytes) -> bytes | None:
         """Do what a frame asks; None where a motor would not answer."""
         node = self.nodes[index]
-        sizes = {code.value: size for code, (size, _) in j60.SIZES.items()}
-        if sizes.get(number) != len(data):
+        if _REQUEST_SIZES.get(number) != len(data):
             return None
         match Code(number):
             case Code.CONTROL:
