@@ -217,6 +217,8 @@ def _run(
         "speed_m_s": speed,
         "state": str(summary.state),
         "latched": None if summary.trip is None else summary.trip.as_json(),
+        "tracking_lag_s": summary.lag,
+        "tracking_rms_aligned_rad": summary.aligned_rms,
         "distance_m": distance,
         "worst_lateness_s": summary.worst_lateness,
         "worst_jitter_s": summary.worst_jitter,

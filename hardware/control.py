@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware.bus import Clock
 from hardware.log import Journal
 from hardware.robot import Imu, Robot, State, Tick
 from hardware.safety import Trip
+
+GREATEST_LAG = 15  # that `follow` looks for [periods]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +25,8 @@ class RunSummary:
     worst_lateness: float  # of a period's end, 0 if none was late [s]
     worst_jitter: float  # of a period's start after its due time [s]
     tracking_rms: float | None  # between targets and measurements while the policy ran, None if it never did [rad]
+    lag: float | None  # by which the measurements follow the targets, to a period [s]
+    aligned_rms: float | None  # tracking error that is left when that lag is taken out [rad]
     peak_torque: float  # greatest measured while the policy ran [N.m]
     rms_torque: float  # of the hardest-working joint while the policy ran [N.m]
     state: State
@@ -53,7 +58,7 @@ def drive(
     dt = robot.bundle.dt
     ticks = overruns = row = index = 0
     worst_lateness = worst_jitter = 0.0
-    errors, torques = [], []
+    targets, positions, errors, torques = [], [], [], []
     if journal is not None:
         journal.header(robot.bundle, robot.limits, robot.schedule)
     with robot:
@@ -68,6 +73,8 @@ def drive(
             if watch is not None:
                 watch(tick)
             if tick.state is State.POLICY:
+                targets.append(tick.target)
+                positions.append(tick.position)
                 errors.append(tick.position - tick.previous_target)
                 torques.append(tick.torque)
             ticks += 1
@@ -80,15 +87,36 @@ def drive(
             else:
                 row = 0
             clock.sleep_until(start + index * dt)
+    lag, aligned = follow(np.array(targets), np.array(positions)) if targets else (None, None)
     return RunSummary(
         ticks=ticks,
         overruns=overruns,
         worst_lateness=worst_lateness,
         worst_jitter=worst_jitter,
-        tracking_rms=float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+        tracking_rms=_rms(np.array(errors)) if errors else None,
+        lag=None if lag is None else lag * dt,
+        aligned_rms=aligned,
         peak_torque=float(np.max(np.abs(torques))) if torques else 0.0,
         rms_torque=float(np.max(np.sqrt(np.mean(np.square(torques), axis=0)))) if torques else 0.0,
         state=robot.state,
         trip=robot.trip,
         unconfirmed=robot.unconfirmed,
     )
+
+
+def follow(targets: NDArray[np.float64], positions: NDArray[np.float64]) -> tuple[int, float]:
+    """Find the lag with the least root mean square of positions[t] - targets[t - lag], both (k, n).
+
+    A motor with damping follows a moving target late, kd / kp seconds where nothing loads it; that is not a defect.
+
+    Returns:
+        The lag in periods, and the root mean square that is left [rad].
+    """
+    lags = range(min(GREATEST_LAG, len(targets) - 1) + 1)
+    left = [_rms(positions[lag:] - targets[: len(targets) - lag]) for lag in lags]
+    best = int(np.argmin(left))
+    return best, left[best]
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

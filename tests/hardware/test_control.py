@@ -1,9 +1,10 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
-from hardware.control import drive
+from hardware.control import drive, follow
 from hardware.robot import Schedule, State, Tick
 
 Make = Callable[..., Any]
@@ -79,3 +80,24 @@ def test_torque_figures_belong_to_the_policy(make_rig: Make) -> None:
     )
     assert summary.peak_torque == max(torques)
     assert 0.0 < summary.rms_torque < summary.peak_torque
+
+
+@pytest.mark.parametrize("lag", [0, 1, 4])
+def test_follow_finds_the_lag_and_what_is_left(lag: int) -> None:
+    wave = np.sin(np.arange(200)[:, None] * 0.2 + np.array([0.0, 1.0]))
+    found, left = follow(wave[lag:], wave[: len(wave) - lag] + 0.01)
+    assert found == lag
+    assert left == pytest.approx(0.01)
+
+
+def test_follow_copes_with_a_single_period() -> None:
+    assert follow(np.zeros((1, 2)), np.full((1, 2), 0.5)) == (0, 0.5)
+
+
+def test_the_lag_of_a_run_is_what_its_gains_say(make_rig: Make) -> None:
+    rig = make_rig(schedule=Schedule(policy=4.0))
+    summary = drive(rig.robot, rig.motors, rig.motors.imu)
+    assert summary.lag == pytest.approx(1.6 / 40.0, abs=0.021)  # kd / kp, to a period
+    assert summary.aligned_rms is not None
+    assert summary.tracking_rms is not None
+    assert summary.aligned_rms < 0.3 * summary.tracking_rms
