@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,8 +141,8 @@ class VoxelDesign:
             digest.update(array.tobytes())
         return digest.hexdigest()[:16]
 
-    def save(self, path: Path | str) -> None:
-        """Write a versioned .npz without pickle."""
+    def save(self, path: Path | str | BinaryIO) -> None:
+        """Write a versioned .npz without pickle, to a path or an open binary file."""
         arrays: dict[str, Any] = {
             "format": np.array(FORMAT),
             "version": np.array(VERSION),

@@ -17,8 +17,10 @@ from mfg.solids import Solid, ball_chain, box, cylinder, tube, union
 
 REAMED = 5e-4  # by which the exact joint cylinder exceeds the one on the field, whose error is less [m]
 ACCESS = 0.035  # free length above the connector and below the base plate, for a motor and a screwdriver [m]
+STRAIGHT = 1e-4  # by which a tunnel may cut the corners of its path [m]
+FACETS = 8  # around a tunnel: its least radius is 8 % short, less than the gap between cable and wall
 ROUND = 96  # sides of a cylinder whose volume is measured: its area is 0.07 % short
-SAMPLED = 4e-3  # edge of the surface pieces by which a distance is measured: a ball of 40 mm comes out 0.07 mm larger [m]
+SAMPLED = 6e-3  # edge of the surface pieces by which a distance is measured: 40 mm comes out 0.15 mm larger [m]
 
 
 def core(mount: Mount, offset: float, half_length: float) -> Solid:
@@ -35,13 +37,13 @@ def core(mount: Mount, offset: float, half_length: float) -> Solid:
 def box_solid(seat: BoxSeat) -> Solid:
     """The box itself, in the design frame."""
     half = np.asarray(seat.size) / 2
-    return box(-half, half).moved(seat.T_design_box)
+    return box((-half).tolist(), half.tolist()).moved(seat.T_design_box)
 
 
 def box_room(seat: BoxSeat) -> Solid:
     """The cavity of a box with its clearance and the shaft by which it is inserted, in the design frame."""
     half = np.asarray(seat.size) / 2 + seat.clearance
-    return box(-half, [half[0], half[1], max(half[2], seat.shaft)]).moved(seat.T_design_box)
+    return box((-half).tolist(), [half[0], half[1], max(half[2], seat.shaft)]).moved(seat.T_design_box)
 
 
 def motor_solid(blueprint: Blueprint, seat: MotorSeat) -> Solid:
@@ -51,7 +53,28 @@ def motor_solid(blueprint: Blueprint, seat: MotorSeat) -> Solid:
 
 def tunnel(wire: WireRun) -> Solid:
     """The room of one cable, in the design frame."""
-    return ball_chain(wire.path, wire.radius)
+    return ball_chain(straightened(wire.path, STRAIGHT), wire.radius, FACETS)
+
+
+def straightened(path: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+    """Points of a polyline (k, 3) without those within `tolerance` of the chord that skips them [m], ends kept."""
+    keep = np.zeros(len(path), bool)
+    keep[[0, -1]] = True
+    spans = [(0, len(path) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        chord = path[last] - path[first]
+        offset = path[first + 1 : last] - path[first]
+        along = np.clip(offset @ chord / max(float(chord @ chord), 1e-18), 0.0, 1.0)
+        away = np.linalg.norm(offset - along[:, None] * chord, axis=1)
+        worst = int(away.argmax())
+        if away[worst] > tolerance:
+            middle = first + 1 + worst
+            keep[middle] = True
+            spans += [(first, middle), (middle, last)]
+    return path[keep]
 
 
 def attachment(blueprint: Blueprint, seat: MotorSeat, bones: Sequence[Solid]) -> tuple[float, float]:
@@ -117,7 +140,7 @@ def largest_ball(blueprint: Blueprint, index: int, bone: Solid) -> float:
     around = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     step = field.spacing / 2
     while True:
-        radius = tree.query(best)[0]
+        radius = np.asarray(tree.query(best)[0])
         order = np.argsort(-radius, kind="stable")[:8]
         if step < 2e-4:
             return float(radius[order[0]])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfg.blueprint import Blueprint, MotorSeat, Transform, WireRun
+from mfg.blueprint import Blueprint, Transform, WireRun
 from mfg.catalogue import Filament, Motor, Size
 from mfg.mounts import motor_pose
 from mfg.solids import surface
@@ -122,10 +123,10 @@ def cylinder_moments(mass: float, radius: float, length: float, pose: Transform)
     return _at(mass, np.diag([radius**2 / 4, radius**2 / 4, length**2 / 12]), pose)
 
 
-def polyline_moments(mass_per_metre: float, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> Moments:
-    """Straight pieces of wire from `starts` to `ends`, both (k, 3) [m]."""
-    pieces = np.stack([starts, ends], axis=1)
-    length = np.linalg.norm(ends - starts, axis=1)
+def polyline_moments(mass_per_metre: float, path: NDArray[np.float64]) -> Moments:
+    """A thin cable along points (k, 3) [m]."""
+    pieces = np.stack([path[:-1], path[1:]], axis=1)
+    length = np.linalg.norm(path[1:] - path[:-1], axis=1)
     return _of_simplices(pieces, length, 2, 1.0 / 6.0).scaled(mass_per_metre)
 
 
@@ -180,8 +181,9 @@ def component_moments(blueprint: Blueprint) -> list[tuple[int, Moments]]:
         pose[:3, 3] = blueprint.bodies[0].bone.centroid()
         found.append((0, box_moments(catalogue.battery.mass, catalogue.battery.size, pose)))
         found.append((0, box_moments(catalogue.computer.mass, catalogue.computer.size, pose)))
+    linear = catalogue.wire.mass_per_metre
     for wire in blueprint.wires:
-        found += _wire_moments(wire, blueprint)
+        found += [(body, polyline_moments(linear, path)) for body, path in wire_stretches(wire, blueprint)]
     return found
 
 
@@ -190,15 +192,14 @@ def motor_moments(motor: Motor, pose: Transform) -> Moments:
     return cylinder_moments(motor.mass, motor.diameter / 2, motor.length, pose)
 
 
-def _wire_moments(wire: WireRun, blueprint: Blueprint) -> list[tuple[int, Moments]]:
-    """Each piece of the cable belongs to the body it lies deepest in."""
-    starts, ends = wire.path[:-1], wire.path[1:]
-    middle = (starts + ends) / 2
+def wire_stretches(wire: WireRun, blueprint: Blueprint) -> list[tuple[int, NDArray[np.float64]]]:
+    """(body, path (k, 3)) of the stretches of a cable, each with the body it lies deepest in, controller first."""
+    middle = (wire.path[:-1] + wire.path[1:]) / 2
     depth = np.stack([(body.skin or body.bone).sample(middle) for body in blueprint.bodies])
-    seat: MotorSeat = blueprint.seats[wire.seat]
+    seat = blueprint.seats[wire.seat]
     owner = np.where(depth.max(0) > -0.5, depth.argmax(0), seat.holder)  # beyond every lattice: with the motor
-    linear = blueprint.catalogue.wire.mass_per_metre
-    return [(int(b), polyline_moments(linear, starts[owner == b], ends[owner == b])) for b in np.unique(owner)]
+    cuts = [0, *(np.flatnonzero(np.diff(owner)) + 1).tolist(), len(owner)]
+    return [(int(owner[a]), wire.path[a : b + 1]) for a, b in itertools.pairwise(cuts)]
 
 
 def _of_simplices(corners: NDArray[np.float64], mass: NDArray[np.float64], count: int, weight: float) -> Moments:

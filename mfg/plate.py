@@ -41,8 +41,8 @@ def fits_printer(points: NDArray[np.float64], volume: Size) -> bool:
 def print_rotation(points: NDArray[np.float64], volume: Size) -> NDArray[np.float64] | None:
     """The rotation (3, 3) that lays points (n, 3) as low as possible within the printer's volume; None if none fits.
 
-    Bottoms tried: the six of the design's axes and the largest facets of the convex hull; the yaw is that of the smallest
-    rectangle around the footprint, so a body is turned as a box that just holds it.
+    Bottoms tried: the six of the design's axes and the largest facets of the convex hull; the yaw is that of the
+    smallest rectangle around the footprint, so a body is turned as a box that just holds it.
     """
     try:
         hull = ConvexHull(points)
@@ -99,10 +99,10 @@ def _bottoms(hull: ConvexHull) -> list[NDArray[np.float64]]:
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     normals = hull.equations[:, :3]
     # Coplanar triangles of one flat facet count together.
-    keys, index = np.unique(np.round(normals, 4), axis=0, return_inverse=True)
+    _, first, index = np.unique(np.round(normals, 4), axis=0, return_index=True, return_inverse=True)
     totals = np.bincount(index.reshape(-1), area)
-    order = np.lexsort((np.arange(len(keys)), -np.round(totals, 12)))[:_FACETS]
-    return axes + [keys[k] / np.linalg.norm(keys[k]) for k in order]
+    order = np.lexsort((np.arange(len(first)), -np.round(totals, 12)))[:_FACETS]
+    return axes + [normals[first[k]] / np.linalg.norm(normals[first[k]]) for k in order]
 
 
 def _facing_down(normal: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from mfg.solids import Solid
 
 MM_PER_M = 1000.0
-# Corners are snapped to 2^-14 mm. A 32-bit float holds every such number up to 1024 mm exactly, so a mesh that is closed
-# on this lattice is still closed after it has been written as STL and welded again by whoever reads it.
+# Corners are snapped to 2^-14 mm. A 32-bit float holds every such number up to 1024 mm exactly, so a mesh that is
+# closed on this lattice is still closed after it has been written as STL and welded again by whoever reads it.
 LATTICE = 2.0**-14  # [mm]
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 

@@ -1,7 +1,8 @@
 """3MF files that a slicer can print from: rigid and soft parts as one object, each with its filament and infill.
 
-Slicers disagree on how a part says what it is made of, so there are two flavours of the same plates. PrusaSlicer wants one
-mesh per object and a table of triangle ranges; Bambu Studio and OrcaSlicer want one mesh per part, joined by components.
+Slicers disagree on how a part says what it is made of, so there are two flavours of the same plates. PrusaSlicer wants
+one mesh per object and a table of triangle ranges; Bambu Studio and OrcaSlicer want one mesh per part, joined by
+components.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ def prusa_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
 
 
 def bambu_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
-    """The Bambu Studio and OrcaSlicer flavour: geometry and part settings, no presets (a sparse preset crashes them)."""
+    """The Bambu Studio and OrcaSlicer flavour: geometry and part settings, but no presets: sparse ones crash them."""
     model, settings, items, number = [], [], [], 0
     for thing in objects:
         ids = []

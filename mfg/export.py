@@ -1,0 +1,205 @@
+"""The blueprint folder: files for the printer, the simulator, the shopper and the person with a screwdriver."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfg.blueprint import Blueprint, PrintedPart
+from mfg.catalogue import Catalogue, Filament
+from mfg.description import Description, describe
+from mfg.exact import box_solid, motor_solid, tunnel
+from mfg.manifest import NAME, manifest, manifest_bytes, part_file
+from mfg.masses import wire_stretches
+from mfg.plate import Lay, arrange
+from mfg.robot_files import Visual, mesh_files, mjcf, urdf
+from mfg.solids import Solid
+from mfg.stl import MM_PER_M, stl_bytes, welded
+from mfg.tables import bill_of_materials, wiring_table
+from mfg.threemf import PrintObject, Volume, bambu_3mf, prusa_3mf
+
+EXTRUDERS = {"rigid": 1, "soft": 2}
+MOTOR_COLOUR, BATTERY_COLOUR, CONTROLLER_COLOUR, WIRE_COLOUR = "#3B8C5A", "#2F5FB3", "#B33A3A", "#E0B83C"
+SKIN_ALPHA = 0.55
+VISUAL_ERROR = 5e-4  # of the meshes that are only looked at [m]
+
+
+def write_blueprint(blueprint: Blueprint, folder: Path | str, outcome_json: Mapping[str, Any] | None = None) -> Path:
+    """Write the whole folder of a built blueprint; same blueprint, same bytes.
+
+    All files go into a hidden folder beside the target, which takes the target's name only when it is complete; an
+    interrupted or failed export leaves nothing under that name.
+
+    Args:
+        blueprint: with parts, as `mfg.pipeline.build` makes it.
+        folder: target; an older blueprint there is replaced.
+        outcome_json: what to keep as `outcome` in the manifest.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: if the blueprint was not built.
+        FileExistsError: if the target exists and is not a blueprint folder.
+        OSError: if it cannot be written.
+    """
+    files = blueprint_files(blueprint, outcome_json)
+    folder = Path(folder)
+    _check_target(folder)
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        for path, content in files.items():
+            target = partial / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
+        if folder.exists():
+            old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
+            folder.rename(old)
+            partial.rename(folder)
+            shutil.rmtree(old)
+        else:
+            partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def blueprint_files(blueprint: Blueprint, outcome_json: Mapping[str, Any] | None = None) -> dict[str, bytes]:
+    """Contents of every file by its path, the manifest last."""
+    if not blueprint.parts or not blueprint.masses:
+        raise ValueError(f"design {blueprint.design.key} has no printed parts yet; build it before it is exported")
+    catalogue = blueprint.catalogue
+    description = describe(blueprint)
+    points = [
+        np.concatenate([part.solid.vertices for part in blueprint.parts if part.body == index])
+        for index in range(len(blueprint.bodies))
+    ]
+    lays = arrange(points, catalogue.printer.volume)
+    objects = print_objects(blueprint, lays)
+    visuals = robot_visuals(blueprint, description)
+    design = io.BytesIO()
+    blueprint.design.save(design)
+    files = {"design.npz": design.getvalue()}
+    for part in blueprint.parts:
+        files[part_file(part)] = stl_bytes(*welded(part.solid), part.name)
+    files["print.3mf"] = prusa_3mf(objects, blueprint.design.key)
+    files["print_bambu.3mf"] = bambu_3mf(objects, blueprint.design.key)
+    files["print_settings.txt"] = print_settings(blueprint, lays).encode()
+    files["assembly.glb"] = assembly_glb(visuals, description)
+    files["robot.urdf"] = urdf(description, visuals).encode()
+    files["robot.xml"] = mjcf(description, visuals).encode()
+    files |= mesh_files(description, visuals)
+    files["bom.csv"] = bill_of_materials(blueprint).encode()
+    files["wiring.csv"] = wiring_table(blueprint).encode()
+    files[NAME] = manifest_bytes(manifest(blueprint, description, lays, files, outcome_json))
+    return files
+
+
+def print_objects(blueprint: Blueprint, lays: list[Lay]) -> list[PrintObject]:
+    """One object per body: its rigid part and its soft parts together, so that the slicer interlocks them."""
+    catalogue = blueprint.catalogue
+    stride = catalogue.printer.volume[0] * 1.2  # slicers show plates side by side
+    objects = []
+    for index, (body, lay) in enumerate(zip(blueprint.bodies, lays, strict=True)):
+        volumes = tuple(
+            Volume(part.name, *welded(part.solid), EXTRUDERS[part.material], _filament(catalogue, part))
+            for part in blueprint.parts
+            if part.body == index
+        )
+        pose = lay.T_plate_design.copy()
+        pose[0, 3] += lay.plate * stride
+        pose[:3, 3] *= MM_PER_M
+        objects.append(PrintObject(body.name, volumes, pose, lay.plate))
+    return objects
+
+
+def robot_visuals(blueprint: Blueprint, description: Description) -> list[Visual]:
+    """What a simulator or a viewer shows: printed parts, motors, boxes and cables, each in its link's frame."""
+    origins, visuals = description.origins(), []
+
+    def show(name: str, link: int, solid: Solid, colour: str, alpha: float = 1.0) -> None:
+        visuals.append(Visual(name, link, solid.vertices - origins[link], solid.triangles, colour, alpha))
+
+    for part in blueprint.parts:
+        colour, alpha = _filament(blueprint.catalogue, part).colour, 1.0 if part.material == "rigid" else SKIN_ALPHA
+        show(part.name, part.body, part.solid.simplified(VISUAL_ERROR), colour, alpha)
+    for seat in blueprint.seats:
+        name = f"{blueprint.hinges[seat.hinge].name}_motor"
+        show(name, seat.holder, motor_solid(blueprint, seat), MOTOR_COLOUR)
+    for box in blueprint.boxes:
+        show(box.kind, box.body, box_solid(box), BATTERY_COLOUR if box.kind == "battery" else CONTROLLER_COLOUR)
+    for wire in blueprint.wires:
+        # A cable bends with the joints that it crosses, so each body carries its own stretch.
+        for number, (body, path) in enumerate(wire_stretches(wire, blueprint), start=1):
+            show(f"{wire.name}_{number}", body, tunnel(replace(wire, path=path)), WIRE_COLOUR)
+    return visuals
+
+
+def assembly_glb(visuals: list[Visual], description: Description) -> bytes:
+    """The assembled robot at rest as binary glTF [m], y up as that format demands, coloured."""
+    import trimesh
+
+    scene, origins = trimesh.Scene(), description.origins()
+    y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
+    for visual in visuals:
+        colour = [int(visual.colour[k : k + 2], 16) for k in (1, 3, 5)]
+        material = trimesh.visual.material.PBRMaterial(
+            name=visual.name, baseColorFactor=[*colour, round(255 * visual.alpha)], metallicFactor=0.0,
+            roughnessFactor=0.8, alphaMode="OPAQUE" if visual.alpha >= 1 else "BLEND", doubleSided=False,
+        )  # fmt: skip
+        mesh = trimesh.Trimesh(visual.vertices + origins[visual.link], visual.triangles, process=False)
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(mesh, node_name=visual.name, geom_name=visual.name, transform=y_up)
+    return bytes(scene.export(file_type="glb"))
+
+
+def print_settings(blueprint: Blueprint, lays: list[Lay]) -> str:
+    """A sheet for people whose slicer does not read the settings in the 3MF files."""
+    catalogue = blueprint.catalogue
+    printer = catalogue.printer
+    lines = [
+        f"Design {blueprint.design.key}",
+        f"Printer: {printer.name}; nozzle {1e3 * printer.nozzle:.1f} mm, line {1e3 * printer.line_width:.2f} mm, "
+        f"layer {1e3 * printer.layer_height:.2f} mm",
+        f"Load print.3mf (PrusaSlicer) or print_bambu.3mf (Bambu Studio, OrcaSlicer): {len(lays)} objects on "
+        f"{max(lay.plate for lay in lays) + 1} plate(s).",
+        "",
+    ]
+    for material, extruder in EXTRUDERS.items():
+        f = catalogue.rigid if material == "rigid" else catalogue.soft
+        lines.append(
+            f"Extruder {extruder}: {f.name} for parts ending in _{'bone' if material == 'rigid' else 'skin_*'}; "
+            f"{f.walls} perimeter(s), {f.infill:.0%} {f.infill_pattern} infill"
+        )
+    lines += [
+        "Rigid and soft parts of a body are one object; interlocking depth at their boundary "
+        f"{1e3 * printer.interlock_depth:.2f} mm (Bambu Studio: Others > Advanced).",
+        "Supports: on the build plate and inside motor cups, rigid filament.",
+        "",
+    ]
+    for body, lay in zip(blueprint.bodies, lays, strict=True):
+        size = " x ".join(f"{1e3 * s:.0f}" for s in lay.size)
+        lines.append(f"{body.name}: plate {lay.plate + 1}, {size} mm as laid")
+    return "\n".join(lines) + "\n"
+
+
+def _filament(catalogue: Catalogue, part: PrintedPart) -> Filament:
+    return catalogue.rigid if part.material == "rigid" else catalogue.soft
+
+
+def _check_target(folder: Path) -> None:
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise FileExistsError(f"{folder} is a file; name a folder for the blueprint")
+    if not (folder / NAME).is_file() and any(itertools.islice(folder.iterdir(), 1)):
+        raise FileExistsError(f"{folder} is not empty and holds no {NAME}; name another folder for the blueprint")

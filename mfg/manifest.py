@@ -1,0 +1,236 @@
+"""blueprint.json: the versioned manifest of a blueprint folder, and the robot read back from it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mfg.blueprint import Blueprint, PrintedPart
+from mfg.catalogue import Motor, ScrewPattern
+from mfg.description import DescribedJoint, Description, Link
+from mfg.masses import printed_moments
+from mfg.outcome import Scores
+from mfg.plate import Lay
+from mfg.stl import welded
+from mfg.tables import can_address, turn_sign
+
+FORMAT = "bodyplan-blueprint"
+VERSION = 1
+NAME = "blueprint.json"
+
+
+class ManifestError(ValueError):
+    """A file that is no blueprint manifest; the message names it, what is wrong and what is expected."""
+
+
+def manifest(
+    blueprint: Blueprint, description: Description, lays: list[Lay], files: Mapping[str, bytes],
+    outcome: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Everything about a finished blueprint that fits in one JSON document.
+
+    Args:
+        blueprint: with parts and masses.
+        description: of the same blueprint.
+        lays: how each body lies on the printer.
+        files: contents by path within the folder, for their hashes.
+        outcome: what `bodyplan build --json` prints, if it is to be kept.
+    """
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "design": blueprint.design.key,
+        "units": {"length": "m", "angle": "rad", "mass": "kg", "files in parts/ and *.3mf": "mm"},
+        "frame": "design frame: corner of the voxel grid at the origin, z up, robot at rest; poses T_a_b map b to a",
+        "pitch": blueprint.design.pitch,
+        "scores": scores_json(blueprint.scores),
+        "notes": list(blueprint.notes),
+        "catalogue": asdict(blueprint.catalogue),
+        "bodies": [_body(blueprint, index, lay) for index, lay in enumerate(lays)],
+        "joints": [_joint(blueprint, index) for index in range(len(blueprint.hinges))],
+        "boxes": [
+            {"kind": box.kind, "body": blueprint.bodies[box.body].name, "size": list(box.size),
+             "T_design_box": box.T_design_box.tolist(), "clearance": box.clearance, "shaft": box.shaft}
+            for box in blueprint.boxes
+        ],
+        "wires": [
+            {"name": wire.name, "joint": blueprint.hinges[blueprint.seats[wire.seat].hinge].name,
+             "length": wire.length, "radius": wire.radius, "path": np.round(wire.path, 6).tolist()}
+            for wire in blueprint.wires
+        ],
+        "parts": [_part(blueprint, part) for part in blueprint.parts],
+        "robot": robot_json(description),
+        "outcome": None if outcome is None else dict(outcome),
+        "files": {path: hashlib.sha256(files[path]).hexdigest() for path in sorted(files)},
+    }  # fmt: skip
+
+
+def manifest_bytes(document: Mapping[str, Any]) -> bytes:
+    """The document as UTF-8 JSON; NaN and infinity are refused."""
+    return (json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+
+
+def scores_json(scores: Scores) -> dict[str, float | None]:
+    """The five scores and their sum."""
+    return {**asdict(scores), "total": scores.total}
+
+
+def robot_json(description: Description) -> dict[str, Any]:
+    """A description in full precision, as `read_description` reads it."""
+    return {
+        "name": description.name,
+        "source": description.source,
+        "mass": description.mass,
+        "standing_height": description.standing_height,
+        "imu_link": description.imu_link,
+        "T_link_imu": description.T_link_imu.tolist(),
+        "links": [
+            {"name": link.name, "parent": link.parent, "T": link.T.tolist(), "mass": link.mass,
+             "com": link.com.tolist(), "inertia": link.inertia.tolist(), "hull": link.hull.tolist()}
+            for link in description.links
+        ],
+        "joints": [
+            {"name": joint.name, "link": joint.link, "axis": joint.axis.tolist(), "range": joint.range.tolist(),
+             "motor": asdict(joint.motor)}
+            for joint in description.joints
+        ],
+    }  # fmt: skip
+
+
+def read_manifest(path: Path | str) -> dict[str, Any]:
+    """Read the manifest of a blueprint folder, given the folder or the file itself.
+
+    Raises:
+        ManifestError: if it is damaged, foreign or of another version.
+        OSError: if it cannot be read.
+    """
+    path = Path(path)
+    path = path / NAME if path.is_dir() else path
+    try:
+        document = json.loads(path.read_bytes(), parse_constant=_refuse)
+    except ValueError as error:
+        raise ManifestError(f"{path}: not readable as JSON ({str(error).splitlines()[0][:120]})") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise ManifestError(f"{path}: not a blueprint manifest; its format should be {FORMAT!r}")
+    if document.get("version") != VERSION:
+        raise ManifestError(f"{path}: version is {document.get('version')!r}, this program reads version {VERSION}")
+    return document
+
+
+def read_description(path: Path | str) -> Description:
+    """Read the robot out of a blueprint folder, exactly as it was described.
+
+    Raises:
+        ManifestError: if the manifest is damaged or lacks something.
+        OSError: if it cannot be read.
+    """
+    robot: Any = read_manifest(path).get("robot")
+    try:
+        links = tuple(
+            Link(str(link["name"]), int(link["parent"]), _array(link["T"], 3), _finite(link["mass"]),
+                 _array(link["com"], 3), _array(link["inertia"], 3, 3), _array(link["hull"], -1, 3))
+            for link in robot["links"]
+        )  # fmt: skip
+        joints = tuple(
+            DescribedJoint(str(joint["name"]), int(joint["link"]), _array(joint["axis"], 3), _array(joint["range"], 2),
+                           _motor(joint["motor"]))
+            for joint in robot["joints"]
+        )  # fmt: skip
+        if not links or any(not -1 <= link.parent < index for index, link in enumerate(links)):
+            raise ValueError("links must name earlier links as their parents")
+        if any(not 0 < joint.link < len(links) for joint in joints) or not 0 <= int(robot["imu_link"]) < len(links):
+            raise ValueError("a joint or the IMU names a link that does not exist")
+        return Description(
+            str(robot["name"]), links, joints, int(robot["imu_link"]), _array(robot["T_link_imu"], 4, 4),
+            robot["source"], _finite(robot["standing_height"]),
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise ManifestError(f"{path}: the robot in it is incomplete or malformed ({error!r:.120})") from None
+
+
+def changed_files(folder: Path | str) -> list[str]:
+    """Paths whose content no longer has the hash in the manifest, missing ones included.
+
+    Raises:
+        ManifestError: if the manifest is damaged.
+        OSError: if a file cannot be read.
+    """
+    folder = Path(folder)
+    stored = read_manifest(folder)["files"]
+    return [
+        path for path, digest in stored.items()
+        if not (folder / path).is_file() or hashlib.sha256((folder / path).read_bytes()).hexdigest() != digest
+    ]  # fmt: skip
+
+
+def part_file(part: PrintedPart) -> str:
+    """Where a part's STL is kept in the folder."""
+    return f"parts/{part.name}.stl"
+
+
+def _body(blueprint: Blueprint, index: int, lay: Lay) -> dict[str, Any]:
+    body, mass = blueprint.bodies[index], blueprint.masses[index]
+    return {
+        "name": body.name, "segment": body.segment, "parent": None if index == 0 else
+        blueprint.bodies[blueprint.hinges[index - 1].parent].name,
+        "mass": mass.mass, "com": mass.com.tolist(), "inertia": mass.inertia.tolist(),
+        "plate": lay.plate, "T_plate_design": lay.T_plate_design.tolist(), "print_size": lay.size.tolist(),
+    }  # fmt: skip
+
+
+def _joint(blueprint: Blueprint, index: int) -> dict[str, Any]:
+    hinge, seat = blueprint.hinges[index], blueprint.seats[index]
+    bus, address = can_address(index)
+    names = [body.name for body in blueprint.bodies]
+    return {
+        "name": hinge.name, "parent": names[hinge.parent], "child": names[hinge.body],
+        "position": hinge.position.tolist(), "axis": hinge.axis.tolist(), "range": hinge.range.tolist(),
+        "motor": blueprint.catalogue.motor.name, "bus": bus, "can_id": address, "sign": turn_sign(blueprint, seat),
+        "holder": names[seat.holder], "connector": names[seat.connector], "offset": seat.offset,
+        "T_design_motor": seat.T_design_motor.tolist(), "holder_volume": seat.holder_volume,
+        "connector_volume": seat.connector_volume,
+    }  # fmt: skip
+
+
+def _part(blueprint: Blueprint, part: PrintedPart) -> dict[str, Any]:
+    catalogue = blueprint.catalogue
+    filament = catalogue.rigid if part.material == "rigid" else catalogue.soft
+    vertices, triangles = welded(part.solid)
+    moments = printed_moments(part.solid.vertices, part.solid.triangles, filament, catalogue.printer.line_width)
+    return {
+        "name": part.name, "body": blueprint.bodies[part.body].name, "material": part.material,
+        "filament": filament.name, "file": part_file(part), "mass": moments.mass, "volume": part.solid.volume,
+        "triangles": len(triangles), "bounds_mm": [vertices.min(0).tolist(), vertices.max(0).tolist()],
+    }  # fmt: skip
+
+
+def _motor(fields: dict[str, Any]) -> Motor:
+    patterns = {name: ScrewPattern(**fields[name]) for name in ("body_screws", "output_screws")}
+    return Motor(**{**fields, **patterns})
+
+
+def _array(value: Any, *shape: int) -> np.ndarray:
+    array = np.array(value, np.float64)
+    if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"an array has shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("an array holds a number that is not finite")
+    return array
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{number} is not a finite number")
+    return number
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is not a number of JSON")

@@ -1,0 +1,72 @@
+"""The tables that go with a robot: what to buy or print, and what is wired to what."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+
+from mfg.blueprint import Blueprint, MotorSeat
+from mfg.masses import printed_moments
+
+MAX_BUS = 15  # motors on one CAN bus: the J60's id has 4 bits, and 0 addresses no motor
+
+
+def bill_of_materials(blueprint: Blueprint) -> str:
+    """CSV: one line per kind of component, then one per filament; masses in grams."""
+    catalogue, motors = blueprint.catalogue, len(blueprint.seats)
+    motor = catalogue.motor
+    rows: list[Sequence[object]] = [
+        ("motor", motor.name, motors, "pcs", _grams(motor.mass * motors), motor.source),
+        ("battery", catalogue.battery.name, 1, "pcs", _grams(catalogue.battery.mass), catalogue.battery.source),
+    ]
+    rows += [("electronics", d.name, 1, "pcs", _grams(d.mass), d.source) for d in catalogue.computer.devices]
+    for pattern, use in ((motor.body_screws, "motor to holder"), (motor.output_screws, "motor to connector")):
+        rows.append(("screw", pattern.screw, pattern.count * motors, "pcs", "", use))
+    length = sum(wire.length for wire in blueprint.wires)
+    mass = catalogue.wire.mass_per_metre * length
+    rows.append(("cable", catalogue.wire.name, f"{length:.2f}", "m", _grams(mass), catalogue.wire.source))
+    for material, filament in (("rigid", catalogue.rigid), ("soft", catalogue.soft)):
+        mass = sum(
+            printed_moments(part.solid.vertices, part.solid.triangles, filament, catalogue.printer.line_width).mass
+            for part in blueprint.parts
+            if part.material == material
+        )
+        note = f"{material} parts, without supports"
+        rows.append(("filament", filament.name, f"{1e3 * mass:.0f}", "g", _grams(mass), note))
+    return _csv(("kind", "item", "quantity", "unit", "mass_g", "note"), rows)
+
+
+def wiring_table(blueprint: Blueprint) -> str:
+    """CSV: one line per cable, with the motor's CAN address and the sign of its angle."""
+    rows = []
+    for wire in blueprint.wires:
+        seat = blueprint.seats[wire.seat]
+        hinge = blueprint.hinges[seat.hinge]
+        mates = blueprint.bodies[seat.holder].name, blueprint.bodies[seat.connector].name
+        address = (*can_address(wire.seat), turn_sign(blueprint, seat))
+        rows.append((wire.name, "controller", hinge.name, f"{1e3 * wire.length:.0f}", *address, *mates))
+    header = ("wire", "from", "to", "length_mm", "bus", "can_id", "sign", "motor_held_by", "output_screwed_to")
+    return _csv(header, rows)
+
+
+def can_address(seat: int) -> tuple[str, int]:
+    """(bus, id) of the motor in `blueprint.seats[seat]`: ids count from 1, and each bus takes 15 motors."""
+    return f"can{seat // MAX_BUS}", seat % MAX_BUS + 1
+
+
+def turn_sign(blueprint: Blueprint, seat: MotorSeat) -> int:
+    """+1 where the motor's output turns the child, -1 where it is the housing that the child carries."""
+    return 1 if seat.connector == blueprint.hinges[seat.hinge].body else -1
+
+
+def _grams(mass: float) -> str:
+    return f"{1e3 * mass:.1f}"
+
+
+def _csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
