@@ -208,6 +208,21 @@ def test_a_jammed_joint_is_a_stall(make_rig: Make, bundle: Bundle) -> None:
     assert summary.peak_torque <= 19.95  # and it never asked for more than the motor has
 
 
+def test_a_hot_motor_is_stiff_no_more_and_goes_on(make_rig: Make) -> None:
+    rig = make_rig()
+    stiffness: list[float] = []
+
+    def heat(tick: Tick) -> None:
+        rig.motors.nodes[2].motor_temperature = 95.0
+        if tick.state is State.POLICY:
+            stiffness.extend(node.latch.kp for node in rig.motors.nodes)
+
+    summary, _ = run(rig, heat)
+    assert summary.trip is None
+    assert {*stiffness[0::3], *stiffness[1::3]} == {40.0}
+    assert all(18.0 <= kp <= 22.0 for kp in stiffness[2::3])  # halfway between the two temperatures
+
+
 def test_falling_over_latches_the_tilt(make_rig: Make) -> None:
     rig = make_rig()
 
