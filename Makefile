@@ -41,11 +41,7 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 run: install  ## evolve a small population and leave a robot to print in runs/quickstart (OUT=..., CONFIG=...)
-	@if [ -f "$(OUT)/report.html" ]; then \
-		echo "$(OUT) is finished: open $(OUT)/report.html, or start another with: make run OUT=runs/another"; \
-	elif [ -f "$(OUT)/run.sqlite" ]; then \
-		echo "$(OUT) was interrupted: resuming it"; $(BIN)/bodyplan run "$(CONFIG)" --out "$(OUT)" --resume; \
-	else $(BIN)/bodyplan run "$(CONFIG)" --out "$(OUT)"; fi
+	@$(BIN)/bodyplan run "$(CONFIG)" --out "$(OUT)" --resume
 
 test: install  ## run the tests on JOBS=2 processes
 	@$(ONE_THREAD) $(BIN)/python -m pytest -q -n $(JOBS) --dist loadscope

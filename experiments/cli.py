@@ -43,7 +43,7 @@ an experiment:
   bodyplan run experiments/configs/quickstart.toml --out runs/first
   bodyplan run experiments/configs/quickstart.toml --out runs/first --resume     after Ctrl-C or a crash
   bodyplan report runs/first                   one HTML file about what happened
-  bodyplan deploy runs/first/best/policy --bus virtual --dry-run
+  bodyplan deploy runs/first/best/bundle --bus virtual --dry-run     rehearse on simulated motors
 
 exit status: 0 done, 1 the design cannot be built, 2 bad input or configuration, 3 interrupted but resumable.
 """

@@ -295,10 +295,6 @@ FOLDERS: dict[str, tuple[Maker, str]] = {
     "report: a file": (words("report", "{file}"), "file"),
     "report: corrupt run file": (words_with(folder_with("run.sqlite", b"no database" * 99), "report", GIVEN), "given"),
     "report: empty run file": (words_with(folder_with("run.sqlite", b""), "report", GIVEN), "given"),
-    "resume: nothing there": (
-        words_with(folder_with("c.toml", b'kind = "evolve"'), "run", GIVEN + "/c.toml", "--out", GIVEN + "/r",
-                   "--resume"), "resume",
-    ),
     "simulate: missing": (words("simulate", GIVEN), "given"),
     "simulate: not a blueprint": (words_with(folder_with("x", b""), "simulate", GIVEN), "given"),
     "simulate: broken model": (words_with(folder_with("robot.xml", b"<mujoco"), "simulate", GIVEN), "given"),
