@@ -126,7 +126,8 @@ def box_depth(
 ) -> NDArray[np.float32]:
     """Depth inside a box of the given half extents in its own frame [m] (Chebyshev inside, so exact on faces)."""
     local = (points - T_design_box[:3, 3]) @ T_design_box[:3, :3]
-    return (half - np.abs(local)).min(axis=-1).astype(np.float32)
+    x, y, z = (half[a] - np.abs(local[..., a]) for a in range(3))
+    return np.minimum(np.minimum(x, y), z).astype(np.float32)
 
 
 def cylinder_distance(points: NDArray[np.float64], T_design_cylinder: NDArray[np.float64], radius: float, low: float,
@@ -144,4 +145,6 @@ def box_distance(
 ) -> NDArray[np.float64]:
     """Euclidean distance from points (..., 3) to a box of the given half extents; negative depth inside [m]."""
     beyond = np.abs((points - T_design_box[:3, 3]) @ T_design_box[:3, :3]) - half
-    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
+    x, y, z = (beyond[..., a] for a in range(3))
+    outside = np.sqrt(np.maximum(x, 0) ** 2 + np.maximum(y, 0) ** 2 + np.maximum(z, 0) ** 2)
+    return outside + np.minimum(np.maximum(np.maximum(x, y), z), 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,12 +57,12 @@ class MotorSolver:
         self, blueprint: Blueprint, index: int, hinge: Hinge, mount: Mount, seats: list[MotorSeat]
     ) -> MotorSeat | Failure:
         offsets = self.offsets()
+        rings = {b: self.rings(blueprint.bodies[b].bone, hinge, mount) for b in (hinge.parent, hinge.body)}
         best: MotorSeat | None = None
         nearest, hit = (0.0, 0.0), False
         for holder, connector in ((hinge.parent, hinge.body), (hinge.body, hinge.parent)):
             # The housing points its output along the axis in both assignments.
-            V_h = self._overlaps(blueprint.bodies[holder].bone, hinge, mount, offsets, "holder")
-            V_c = self._overlaps(blueprint.bodies[connector].bone, hinge, mount, offsets, "connector")
+            V_h, V_c = rings[holder].overlaps(offsets, "holder"), rings[connector].overlaps(offsets, "connector")
             nearest = max(nearest, max(zip(V_h.tolist(), V_c.tolist(), strict=True), key=min), key=min)
             scores = [self.objective(float(h), float(c)) for h, c in zip(V_h, V_c, strict=True)]
             # Best score first; among equals the smaller offset.
@@ -93,7 +94,7 @@ class MotorSolver:
     def offsets(self) -> NDArray[np.float64]:
         """The candidate offsets delta, symmetric about 0 [m]."""
         count = math.floor(self.scan / self.step)
-        return np.arange(-count, count + 1) * self.step
+        return np.arange(-count, count + 1, dtype=np.float64) * self.step
 
     def objective(self, V_h: float, V_c: float) -> float:
         """S(delta) = 1[V_h >= tau, V_c >= tau] g(delta) (paper Eq. 2)."""
@@ -101,40 +102,58 @@ class MotorSolver:
             return 0.0
         return mount_balance(V_h, V_c, self.alpha)
 
-    def _overlaps(
-        self, bone: Field, hinge: Hinge, mount: Mount, offsets: NDArray[np.float64], part: str
-    ) -> NDArray[np.float64]:
-        """V(delta): volume that one round part of the mount shares with a bone, for every offset [m3].
-
-        The part is a ring in every slice across the axis, so the bone is sampled once, slice by slice, and every
-        offset is a sum over the slices that the part then covers. Inside the attach radius the bone is cut away.
-        """
-        if part == "holder":
-            outer, low, high = mount.holder_radius, mount.base_low, mount.holder_top
-        else:
-            outer, low, high = mount.connector_radius, mount.connector_low, mount.connector_high
-        heights = np.arange(offsets[0] + low - self.step, offsets[-1] + high + self.step, self.step)
-        area = self._ring_area(bone, hinge, mount.attach_radius, outer, heights + self.step / 2)
-        volume = np.concatenate([[0.0], np.cumsum(area) * self.step])  # Volume below each slice boundary.
-        edges = np.append(heights, heights[-1] + self.step)
-        below = np.interp(np.concatenate([offsets + low, offsets + high]), edges, volume)
-        volumes: NDArray[np.float64] = below[len(offsets) :] - below[: len(offsets)]
-        return volumes
-
-    def _ring_area(
-        self, bone: Field, hinge: Hinge, inner: float, outer: float, heights: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Area of a ring about the hinge axis that lies in the bone, at each height [m2]."""
-        width = (outer - inner) / self.ring_steps
-        radius = inner + (np.arange(self.ring_steps) + 0.5) * width
+    def rings(self, bone: Field, hinge: Hinge, mount: Mount) -> Rings:
+        """Sample one bone around a hinge axis, slice by slice, as far as any offset reaches."""
+        reach = self.scan + max(-mount.base_low, mount.connector_high) + self.step
+        edges: NDArray[np.float64] = np.arange(-reach, reach + self.step, self.step, dtype=np.float64)
+        width = (mount.connector_radius - mount.attach_radius) / self.ring_steps
+        radius: NDArray[np.float64] = mount.attach_radius + (np.arange(self.ring_steps, dtype=np.float64) + 0.5) * width
         angle = (np.arange(self.angle_steps) + 0.5) * (2 * np.pi / self.angle_steps)
         T = motor_pose(hinge.position, hinge.axis, 0.0)
         circle = np.cos(angle)[:, None] * T[:3, 0] + np.sin(angle)[:, None] * T[:3, 1]
-        flat = radius[:, None, None] * circle[None]  # (ring, angle, 3)
-        points = hinge.position + flat[None] + heights[:, None, None, None] * hinge.axis
-        inside = coverage(bone.sample(points), width).astype(np.float64)
-        cell = radius * width * (2 * np.pi / self.angle_steps)
-        return np.einsum("hra,r->h", inside, cell)
+        slices = hinge.position + (edges[:-1] + self.step / 2)[:, None] * hinge.axis
+        points = slices[:, None, None] + radius[:, None, None] * circle  # (height, ring, angle, 3)
+        share = coverage(bone.sample(points), width).mean(axis=2, dtype=np.float64)
+        below = np.concatenate([np.zeros((1, self.ring_steps)), np.cumsum(share * self.step, axis=0)])
+        return Rings(mount, edges, radius, width, below)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rings:
+    """How much of one bone lies in rings about a hinge axis, below every height.
+
+    Holder and connector are rings in every slice across the axis (inside the attach radius the bone is cut away), so
+    the bone is sampled once and the overlap at any offset is a difference of two heights.
+
+    Attributes:
+        mount: the mount whose radii the rings span.
+        edges: heights along the axis [m], (k,).
+        radius: of the middle of each ring [m].
+        width: of each ring [m].
+        below: filled height below each edge, per ring [m], (k, rings).
+    """
+
+    mount: Mount
+    edges: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    width: float
+    below: NDArray[np.float64]
+
+    def overlaps(self, offsets: NDArray[np.float64], part: Literal["holder", "connector"]) -> NDArray[np.float64]:
+        """V(delta): volume that one half of the mount shares with the bone, for every offset [m3]."""
+        m = self.mount
+        outer, low, high = (
+            (m.holder_radius, m.base_low, m.holder_top)
+            if part == "holder"
+            else (m.connector_radius, m.connector_low, m.connector_high)
+        )
+        # A ring that the part's rim passes through counts by the share of its area inside the rim.
+        inside, edge = self.radius - self.width / 2, np.minimum(self.radius + self.width / 2, outer)
+        area = np.pi * np.maximum(edge**2 - inside**2, 0.0)
+        filled = self.below @ area
+        below = np.interp(np.concatenate([offsets + low, offsets + high]), self.edges, filled)
+        volumes: NDArray[np.float64] = below[len(offsets) :] - below[: len(offsets)]
+        return volumes
 
 
 def envelopes_meet(T_a: NDArray[np.float64], T_b: NDArray[np.float64], mount: Mount, gap: float) -> bool:

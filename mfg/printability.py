@@ -37,7 +37,7 @@ class PrintabilitySolver:
             failure = self._in_one_piece(blueprint, index, body, field)
             if failure is not None:
                 return failure
-            extents = print_extents(_surface_samples(body, field))
+            extents = print_extents(*_inside(body, field))
             if not fits(extents, printer.volume):
                 return Failure(
                     Stage.PRINT,
@@ -83,7 +83,7 @@ def with_hardware(blueprint: Blueprint, index: int, mount: Mount, gap: float) ->
     values = body.bone.values.copy()
     for box in blueprint.boxes:
         if box.body == index:
-            values = np.minimum(values, -_shaft_depth(body.bone, box))
+            cut_shaft(body.bone, values, box)
     for seat in blueprint.seats:
         window = motor_window(body.bone, seat.T_design_motor, mount)
         if window is None:
@@ -119,12 +119,19 @@ def about_motor(
     return cylindrical(field.axes(window), T_design_motor[:3, 3], T_design_motor[:3, 2])
 
 
-def print_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Extents of the smaller of two boxes around points (n, 3): along the design axes or the principal axes [m]."""
+def print_extents(points: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Extents of the smaller of two boxes around a body: along the design axes or its principal axes [m].
+
+    Args:
+        points: samples inside the body [m], (n, 3).
+        depth: of each sample [m], (n,): the body reaches that much farther in every direction.
+    """
     centred = points - points.mean(axis=0)
-    _, axes = np.linalg.eigh(centred.T @ centred)
-    straight, turned = np.ptp(points, axis=0), np.ptp(centred @ axes, axis=0)
-    return min(straight, turned, key=lambda e: float(np.sort(e)[-1]))
+    _, principal = np.linalg.eigh(centred.T @ centred)
+    boxes = []
+    for along in (centred, centred @ principal):
+        boxes.append((along + depth[:, None]).max(axis=0) - (along - depth[:, None]).min(axis=0))
+    return min(boxes, key=lambda extents: float(extents.max()))
 
 
 def fits(extents: NDArray[np.float64], volume: tuple[float, float, float]) -> bool:
@@ -132,18 +139,28 @@ def fits(extents: NDArray[np.float64], volume: tuple[float, float, float]) -> bo
     return bool((np.sort(extents) <= np.sort(volume)).all())
 
 
-def _shaft_depth(field: Field, box: BoxSeat) -> NDArray[np.float32]:
-    """Depth inside the cavity of a box and its insertion shaft."""
+def cut_shaft(field: Field, values: NDArray[np.float32], box: BoxSeat) -> None:
+    """Cut the cavity of a box and its insertion shaft out of `values`, the samples of a field, in place."""
     half = np.array(box.size) / 2 + box.clearance
     low, high = -half[2], max(box.shaft, half[2])
     T = box.T_design_box.copy()
     T[:3, 3] += T[:3, 2] * (low + high) / 2
-    return box_depth(field.points(), T, np.array([half[0], half[1], (high - low) / 2]))
+    half[2] = (high - low) / 2
+    window = field.window(T[:3, 3], float(np.linalg.norm(half)) + field.spacing)
+    if window is not None:
+        depth = box_depth(np.stack(np.broadcast_arrays(*field.axes(window)), axis=-1), T, half)
+        values[window] = np.minimum(values[window], -depth)
 
 
-def _surface_samples(body: Body, field: Field) -> NDArray[np.float64]:
-    shapes = [f for f in (field, body.skin) if f is not None]
-    return np.concatenate([(np.argwhere(np.abs(f.values) <= f.spacing) + f.corner) * f.spacing for f in shapes])
+def _inside(body: Body, field: Field) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Samples just inside the surface of bone and skin, and how deep each lies."""
+    points, depth = [], []
+    for shape in (field, body.skin):
+        if shape is not None:
+            near = (shape.values > 0) & (shape.values <= shape.spacing)
+            points.append((np.argwhere(near) + shape.corner) * shape.spacing)
+            depth.append(shape.values[near].astype(np.float64))
+    return np.concatenate(points), np.concatenate(depth)
 
 
 def _mm(extents: NDArray[np.float64]) -> str:

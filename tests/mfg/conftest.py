@@ -21,13 +21,13 @@ def elbow() -> VoxelDesign:
 @pytest.fixture(scope="session")
 def creature() -> VoxelDesign:
     """A torso that can host the electronics, with two legs and soft tissue all over."""
-    torso = ellipsoid((32, 32, 40), (13, 9, 8))
-    legs = [ellipsoid((x, 32, 20), (6, 6, 13)) for x in (14, 50)]
+    torso = ellipsoid((32, 32, 40), (13.5, 9, 9))
+    legs = [ellipsoid((x, 32, 24), (6, 7, 13)) for x in (20, 44)]
     joints = tuple(
-        Joint(np.array([x * 0.01, 0.32, 0.32]), np.array([0.0, 1.0, 0.0]), np.array([-1.0, 1.0]), 1, i)
-        for i, x in ((2, 16.5), (3, 47.5))
+        Joint(np.array([x * 0.01, 0.32, 0.345]), np.array([0.0, 1.0, 0.0]), np.array([-1.0, 1.0]), 1, i)
+        for i, x in ((2, 20), (3, 44))
     )
-    soft = ellipsoid((32, 32, 40), (14.8, 11, 10))
-    for x in (14, 50):
-        soft |= ellipsoid((x, 32, 20), (7.5, 7.5, 14.5))
+    soft = ellipsoid((32, 32, 40), (14.5, 11, 11))
+    for x in (20, 44):
+        soft |= ellipsoid((x, 32, 24), (7.5, 8.5, 14.5))
     return painted([torso, *legs], joints, soft)

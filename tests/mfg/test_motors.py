@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import J60_6, PAPER
 from mfg.scores import mount_balance
 from mfg.skeleton import SkeletonSolver
-from mfg.solids import from_field
+from mfg.solids import Solid, from_field
 
 MOUNT = mount_of(J60_6)
 
@@ -38,8 +39,10 @@ def test_the_scan_equals_exact_booleans_at_every_offset(elbow: VoxelDesign) -> N
     largest = 0.0
     for body in (hinge.parent, hinge.body):
         bone = from_field(blueprint.bodies[body].bone)
-        for part, solid in (("holder", holder(MOUNT)), ("connector", connector(MOUNT))):
-            fast = solver._overlaps(blueprint.bodies[body].bone, hinge, MOUNT, offsets, part)
+        halves: tuple[tuple[Literal["holder", "connector"], Solid], ...]
+        halves = (("holder", holder(MOUNT)), ("connector", connector(MOUNT)))
+        for part, solid in halves:
+            fast = solver.rings(blueprint.bodies[body].bone, hinge, MOUNT).overlaps(offsets, part)
             for k in range(0, len(offsets), 5):
                 exact = bone.overlap(solid.moved(motor_pose(hinge.position, hinge.axis, float(offsets[k]))))
                 assert fast[k] == pytest.approx(exact, rel=0.04, abs=4e-7), (body, part, offsets[k])

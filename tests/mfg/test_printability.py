@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from decoder.design import Joint, VoxelDesign
 from mfg.blueprint import Blueprint
+from mfg.bones import smooth_field
 from mfg.motion import MotionSolver
 from mfg.motors import MotorSolver
 from mfg.mounts import connector, envelope, holder, mount_of
@@ -60,13 +61,19 @@ def test_a_good_body_passes_unchanged(creature: VoxelDesign) -> None:
     assert PrintabilitySolver().solve(blueprint) is blueprint
 
 
+def test_extents_agree_with_the_meshed_body() -> None:
+    field = smooth_field(ellipsoid((31.3, 32, 32), (14.2, 8, 5)), 0.01, 0.8)
+    near = (field.values > 0) & (field.values <= field.spacing)
+    points = (np.argwhere(near) + field.corner) * field.spacing
+    fast = print_extents(points, field.values[near].astype(np.float64))
+    np.testing.assert_allclose(np.sort(fast), np.sort(np.ptp(from_field(field).bounds, axis=0)), atol=3e-3)
+
+
 def test_hardware_that_cuts_a_bone_in_two_is_noticed() -> None:
     # Two thin necks lead through the envelope of a motor that belongs to other bodies.
     bones = [ellipsoid((20, 32, 32), (8, 6, 6)), ellipsoid((36, 32, 32), (8, 6, 6))]
     blueprint = seated(painted(bones, (Joint((0.28, 0.32, 0.32), (0, 1, 0), (-1, 1), 1, 2),)))
     bar = ellipsoid((28, 32, 32), (4, 26, 4))
-    from mfg.bones import smooth_field
-
     third = replace(blueprint.bodies[0], name="body_9", bone=smooth_field(bar, 0.01, 0.8))
     failure = PrintabilitySolver().solve(replace(blueprint, bodies=(*blueprint.bodies, third)))
     assert isinstance(failure, Failure)
@@ -80,9 +87,10 @@ def test_fit_does_not_depend_on_axis_order(order: list[int], size: float) -> Non
     assert fits(extents[order], (0.3, 0.32, 0.32)) == fits(extents, (0.3, 0.32, 0.32)) == (size <= 0.32)
 
 
-def test_a_tilted_bar_is_measured_along_itself() -> None:
+def test_a_tilted_slab_is_measured_along_itself() -> None:
     rng = np.random.default_rng(0)
-    bar = rng.uniform(-0.5, 0.5, (4000, 3)) * (0.3, 0.02, 0.02)
+    slab = rng.uniform(-0.5, 0.5, (4000, 3)) * (0.25, 0.15, 0.1)
     c = np.sqrt(0.5)
-    tilted = bar @ np.array([[c, c, 0], [-c, c, 0], [0, 0, 1.0]])
-    assert np.sort(print_extents(tilted))[-1] == pytest.approx(0.30, abs=0.01)
+    tilted = slab @ np.array([[c, c, 0], [-c, c, 0], [0, 0, 1.0]])
+    assert np.ptp(tilted, axis=0).max() > 0.27
+    assert np.sort(print_extents(tilted, np.zeros(len(tilted))))[-1] == pytest.approx(0.25, abs=0.01)
