@@ -88,22 +88,28 @@ class WireSolver:
         return routed.scored(cable=cable_score(length, bend, blueprint.catalogue))
 
     def _smooth(self, path: Array, hardware: Hardware, seat: int, radius: float) -> Array | None:
-        """Moving average over evenly spaced points, ends fixed, then pushed out of whatever it came too near to."""
-        need = hardware.needs(seat, radius, self.gap)
-        path = resampled(path, self.step)
+        """Moving average over evenly spaced points, ends fixed, then pushed out of whatever it came too near to.
+
+        Where a wide average would cut through hardware, a narrower one is taken.
+        """
+        need = hardware.needs(seat, radius, self.gap)[:, None]
+        least = hardware.needs(seat, radius, 0.0)[:, None] - SAG
+        rough = resampled(path, self.step)
         span = max(1, round(self.window / self.step / 2))
-        path = moving_average(moving_average(path, span), span)
-        for _ in range(12):
-            short = need[:, None] + SAG - hardware.distance(path[1:-1])
-            worst = short.argmax(axis=0)
-            low = np.flatnonzero(short.max(axis=0) > 1e-5)
-            if not len(low):
-                break
-            which, points = worst[low], path[1:-1][low]
-            path[1 + low] += short[which, low][:, None] * hardware.outward(points, which)
-        fine = resampled(path, 0.001)[1:-1]
-        clear = (hardware.distance(fine) >= hardware.needs(seat, radius, 0.0)[:, None] - SAG).all()
-        return path if clear else None
+        while span > 0:
+            path = moving_average(moving_average(rough, span), span)
+            for _ in range(12):
+                short = need + SAG - hardware.distance(path[1:-1])
+                worst = short.argmax(axis=0)
+                low = np.flatnonzero(short.max(axis=0) > 1e-5)
+                if not len(low):
+                    break
+                which, points = worst[low], path[1:-1][low]
+                path[1 + low] += short[which, low][:, None] * hardware.outward(points, which)
+            if (hardware.distance(resampled(path, 0.001)[1:-1]) >= least).all():
+                return path
+            span //= 2
+        return None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,10 +181,14 @@ class _Net:
         for box in blueprint.boxes:
             self.in_shaft |= _shaft_depth(self.vertices, box) > -radius
         n = len(self.vertices)
-        # Each edge of a closed mesh is met once in either direction.
-        tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-        tail, head = _bridged(self.vertices, tail, head, theta.bridge)
+        tail, head = _bridged(self.vertices, *mesh_edges(triangles), theta.bridge)
         length = np.linalg.norm(self.vertices[tail] - self.vertices[head], axis=1)
+        # A link across a sharp rim may cut through what lies below it.
+        nearest = self.distance.min(axis=0)
+        least = radius + theta.gap / 2
+        doubtful = np.flatnonzero(np.maximum(nearest[tail], nearest[head]) - length / 2 < least)
+        middle = (self.vertices[tail[doubtful]] + self.vertices[head[doubtful]]) / 2
+        length[doubtful[hardware.distance(middle).min(axis=0) < least]] = np.inf
         links = [np.column_stack([tail, head])]
         weights = [length]
         self.motor_ends: list[tuple[Array, NDArray[np.int64]]] = []
@@ -209,7 +219,7 @@ class _Net:
         """
         count = min(NEAREST, len(self.vertices))
         hop, near = (np.asarray(a).reshape(len(points), count) for a in self.tree.query(points, k=count))
-        share = np.linspace(0, 1, 7)[1:, None]
+        share = np.linspace(0, 1, 7)[:, None]
         along = points[:, None, None] + share * (self.vertices[near] - points[:, None])[:, :, None]
         distance = self.hardware.distance(along.reshape(-1, 3)).reshape(-1, *near.shape, len(share))
         clear = np.asarray((distance >= need[:, None, None, None] - 1e-6).all(axis=(0, 3)))
@@ -280,6 +290,23 @@ def merged(blueprint: Blueprint, stride: int) -> Field:
         there = tuple(slice(a, b) for a, b in zip(first - low, last - low, strict=True))
         values[there] = np.maximum(values[there], depth)
     return Field(values, (int(low[0]), int(low[1]), int(low[2])), spacing)
+
+
+def mesh_edges(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Directed edges of a closed mesh and, across each of them, the link between the two opposite corners.
+
+    With edges alone a shortest path follows the lattice that the mesh was made on, up to 27 % too long; with both it
+    is within 15 %.
+    """
+    # Each edge of a closed mesh is met once in either direction.
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    opposite = np.roll(triangles, -2, axis=1).ravel()
+    size = int(triangles.max()) + 1
+    key, twin = tail * size + head, head * size + tail
+    order = np.argsort(key, kind="stable")
+    at = order[np.minimum(np.searchsorted(key[order], twin), len(key) - 1)]
+    paired = key[at] == twin
+    return np.concatenate([tail, opposite[paired]]), np.concatenate([head, opposite[at[paired]]])
 
 
 def motor_references(blueprint: Blueprint, seat: MotorSeat, mount: Mount, radius: float) -> Array:

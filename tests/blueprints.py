@@ -43,11 +43,14 @@ def ball_bone(centre: Sequence[float], radius: float) -> Field:
 
 def tube_bone(radius: float, half_length: float) -> Field:
     """A cylinder of bone about x, centred in the design frame."""
+
     def depth(p: NDArray[np.float64]) -> NDArray[np.float64]:
         radial = radius - np.hypot(p[..., 1] - 0.3, p[..., 2] - 0.3)
         return np.minimum(radial, half_length - np.abs(p[..., 0] - 0.3))
 
-    return sampled(depth, (0.3 - half_length, 0.3 - radius, 0.3 - radius), (0.3 + half_length, 0.3 + radius, 0.3 + radius))
+    return sampled(
+        depth, (0.3 - half_length, 0.3 - radius, 0.3 - radius), (0.3 + half_length, 0.3 + radius, 0.3 + radius)
+    )
 
 
 def blueprint_of(
@@ -60,7 +63,9 @@ def blueprint_of(
         (Joint(np.array([0.32, 0.32, 0.32]), np.array([0.0, 1.0, 0.0]), np.array([-1.0, 1.0]), 1, 2),),
     )
     skins = skins or [None] * len(bones)
-    bodies = tuple(Body(f"body_{i}", i + 1, bone, skin) for i, (bone, skin) in enumerate(zip(bones, skins, strict=True)))
+    bodies = tuple(
+        Body(f"body_{i}", i + 1, bone, skin) for i, (bone, skin) in enumerate(zip(bones, skins, strict=True))
+    )
     hinges, motors = [], []
     for k, (holder, connector, position, axis) in enumerate(seats):
         p, a = np.array(position, float), np.array(axis, float) / np.linalg.norm(axis)

@@ -91,7 +91,7 @@ def test_the_pair_is_centred_on_the_centre_of_mass(placed: Blueprint) -> None:
 def test_poses_are_rigid_and_sizes_are_the_catalogues(placed: Blueprint) -> None:
     for seat, size in zip(placed.boxes, (PAPER.battery.size, PAPER.computer.size), strict=True):
         R = seat.T_design_box[:3, :3]
-        assert R.T @ R == pytest.approx(np.eye(3), abs=1e-12)
+        assert pytest.approx(np.eye(3), abs=1e-12) == R.T @ R
         assert np.linalg.det(R) == pytest.approx(1.0)
         assert sorted(seat.size) == pytest.approx(sorted(size))
 

@@ -22,7 +22,9 @@ volume = st.floats(0, 1e-3)
 
 
 @given(volume, volume, volume, st.floats(0, 1))
-def test_mount_balance_grows_with_both_volumes_and_prefers_balance(a: float, b: float, more: float, alpha: float) -> None:
+def test_mount_balance_grows_with_both_volumes_and_prefers_balance(
+    a: float, b: float, more: float, alpha: float
+) -> None:
     assert scores.mount_balance(a + more, b, alpha) >= scores.mount_balance(a, b, alpha) - 1e-15
     assert scores.mount_balance(a, b, alpha) == scores.mount_balance(b, a, alpha)
     half = (a + b) / 2
@@ -39,7 +41,9 @@ def test_motor_score_is_the_scaled_mean(per_joint: list[float], more: float) -> 
 
 def test_motor_scale_is_reached_when_both_bodies_fill_half_of_the_ring() -> None:
     ring_h = math.pi * (MOUNT.holder_radius**2 - MOUNT.cavity_radius**2) * (MOUNT.holder_top - MOUNT.base_low)
-    ring_c = math.pi * (MOUNT.connector_radius**2 - MOUNT.cavity_radius**2) * (MOUNT.connector_high - MOUNT.connector_low)
+    ring_c = (
+        math.pi * (MOUNT.connector_radius**2 - MOUNT.cavity_radius**2) * (MOUNT.connector_high - MOUNT.connector_low)
+    )
     assert scores.motor_score([scores.mount_balance(ring_h / 2, ring_c / 2, 0.25)], MOUNT, 0.25) == pytest.approx(1)
 
 
@@ -87,7 +91,9 @@ def test_installability_is_one_over_e_at_its_scale() -> None:
 
 @pytest.mark.parametrize("turn", [np.eye(3), Rotation.from_euler("xyz", [0.3, 0.7, 0.2]).as_matrix()])
 def test_largest_clearance_of_a_box_is_half_its_least_side(turn: np.ndarray) -> None:
-    assert scores.largest_clearance(box_bone((0.2, 0.2, 0.2), (0.16, 0.12, 0.09), turn)) == pytest.approx(0.045, abs=3e-4)
+    assert scores.largest_clearance(box_bone((0.2, 0.2, 0.2), (0.16, 0.12, 0.09), turn)) == pytest.approx(
+        0.045, abs=3e-4
+    )
 
 
 @pytest.mark.parametrize("centre", [(0.2, 0.2, 0.2), (0.2013, 0.1987, 0.2022)])
