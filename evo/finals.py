@@ -1,4 +1,4 @@
-"""The last round: the best candidates built in full, measured as twins; the first in rank that walks wins."""
+"""The last round: the best candidates built in full and measured as twins; the best twin that walks wins."""
 
 from __future__ import annotations
 
@@ -40,10 +40,8 @@ def finals(record: Record, pool: Pool[Evaluation, Evaluation], heat: int) -> Ite
 
 
 def winner(record: Record) -> Evaluation | None:
-    """The twin that won: the best screened of those that could be built and walk; None if there is none."""
-    twins = {_name(twin): twin for twin in record.evaluations(table="finals")}
-    ranked = [twins[_name(e)] for e in ladder(record.evaluations()) if _name(e) in twins]
-    return next((twin for twin in ranked if _wins(twin)), None)
+    """The twin that won: the best by its own measurement of those that could be built and walk; None without any."""
+    return min(filter(_wins, record.evaluations(table="finals")), key=lambda twin: twin.rank_key, default=None)
 
 
 def ladder(evaluations: list[Evaluation]) -> list[Evaluation]:

@@ -117,7 +117,8 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
         raise BadInput(f"{folder}: {error}") from None
     twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget())
     with Pool[Evaluation, Evaluation](twin, workers, config.timeout) as pool:
-        for _ in progress(finals(record, pool, config.finals.heat), None, "finals"):
+        left = config.finals.heat - record.count("finals")
+        for _ in progress(finals(record, pool, config.finals.heat), left if left > 0 else None, "finals"):
             pass
 
 
