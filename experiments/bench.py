@@ -7,6 +7,7 @@ within seconds of each other, so they hold on other machines too.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import platform
 import resource
@@ -17,7 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from experiments.cli import VERSION
 from experiments.output import count, make_folder, progress, say
@@ -33,6 +34,8 @@ HELP_TIME = 0.5  # goal [s]
 GAITS, GAIT_SECONDS, REPEATS = 16, 4.0, 3  # of the comparison with the bare simulator
 MIB = 2**20
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 Row = dict[str, Any]  # {"what", "value", "unit", "goal": text or None, "note": text or None}
 
 
@@ -45,10 +48,10 @@ def main() -> int:
     args = parser.parse_args()
     folder = make_folder(args.out)
     rows: list[Row] = []
-    for section in (lambda: designs(args.n), motor_scan, simulator, lambda: workers(args.evaluations), start, memory):
-        for row in section():
-            say(line(row))
-            rows.append(row)
+    sections = (designs(args.n), motor_scan(), simulator(), workers(args.evaluations), start(), memory())
+    for row in itertools.chain.from_iterable(sections):  # Generators: each section measures when its turn comes.
+        say(line(row))
+        rows.append(row)
     result = {"bodyplan": VERSION, "machine": machine(), "seed": SEED, "designs": args.n, "rows": rows}
     (folder / "bench.json").write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     table = markdown(rows)
@@ -68,7 +71,11 @@ def designs(n: int) -> Iterator[Row]:
     decoder = make_decoder("genome")
     latents = sample_latents(n + 1, np.random.default_rng(SEED))
     bodies: list[VoxelDesign] = []
-    decode = [clock(lambda z=z: bodies.extend(decoder.decode(z[None]))) for z in latents]
+    decode = []
+    for latent in latents:
+        seconds, found = timed(decoder.decode, latent[None])
+        decode.append(seconds)
+        bodies += found
     score(bodies[0])  # Warms caches that every process fills once.
     scored = [timed(score, body) for body in progress(bodies[1:], n, "score")]
     yield row("decode", statistics.median(decode[1:]), "s/design", f"<= {DECODE}")
@@ -80,7 +87,7 @@ def designs(n: int) -> Iterator[Row]:
     yield row("build, design that passes", statistics.median(t for t, _ in built), "s/design", f"<= {BUILD}")
     yield from stages("build", [o for _, o in built], only=("finish",))
     with tempfile.TemporaryDirectory() as folder:
-        written = [clock(lambda o=o: write_blueprint(o, Path(folder) / o.design.key)) for _, o in built if o.ok]
+        written = [timed(write_blueprint, o, Path(folder) / o.design.key)[0] for _, o in built if o.ok]
     yield row("write blueprint folder", statistics.median(written), "s/design")
     agree = sum(o.ok for _, o in built)
     yield row("passes of score that build confirms", agree / len(built), "", note=f"{agree} of {len(built)}")
@@ -137,7 +144,7 @@ def simulator() -> Iterator[Row]:
     from mfg.pipeline import score
     from sim.gaits import decode, random_points
     from sim.model import compile_model, drive_of
-    from sim.rollout import CONTROL_PERIOD, roll_out, settle
+    from sim.rollout import CONTROL_PERIOD, LEAD_IN, roll_out, settle
 
     outcome = next(o for o in map(score, random_designs()) if o.ok)
     model = compile_model(describe(outcome.blueprint))
@@ -145,9 +152,10 @@ def simulator() -> Iterator[Row]:
     gaits = [decode(drive, point) for point in random_points(drive, GAITS, np.random.default_rng(SEED))]
     start = settle(model)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
-    ticks = round(GAIT_SECONDS / CONTROL_PERIOD)
+    at = np.arange(round((LEAD_IN + GAIT_SECONDS) / CONTROL_PERIOD)) * CONTROL_PERIOD
+    fade = np.minimum(1.0, at / LEAD_IN)[:, None]
+    targets = [fade * gait.targets(at) for gait in gaits]
     data = mujoco.MjData(model)
-    targets = [[gait.targets(k * CONTROL_PERIOD) for k in range(ticks)] for gait in gaits]
 
     def bare() -> None:
         for orders in targets:
@@ -156,14 +164,17 @@ def simulator() -> Iterator[Row]:
                 data.ctrl[:] = order
                 mujoco.mj_step(model, data, substeps)
 
-    ours, theirs = [], []
-    for _ in range(REPEATS):  # In turns, so that a busy moment of the machine meets both.
-        seconds = clock(bare)
-        theirs.append(GAITS * ticks * substeps / seconds)
-        ours.append(roll_out(model, gaits, GAIT_SECONDS, start).steps_per_s)
-    yield row("simulator, one thread", statistics.median(ours), "steps/s", note=f"{model.nu} joints")
-    yield row("bare mj_step, same model and gaits", statistics.median(theirs), "steps/s")
-    yield row("simulator against bare", statistics.median(ours) / statistics.median(theirs), "x", f">= {BARE}")
+    # Processor time of one thread, and in turns: a busy machine slows both alike.
+    bare()
+    seconds = [
+        (clock(bare, time.process_time), clock(lambda: roll_out(model, gaits, GAIT_SECONDS, start), time.process_time))
+        for _ in range(REPEATS)
+    ]
+    steps = GAITS * len(at) * substeps
+    theirs, ours = (steps / statistics.median(column) for column in zip(*seconds, strict=True))
+    yield row("simulator, one thread", ours, "steps/s", note=f"{model.nu} joints, {GAITS} gaits")
+    yield row("bare mj_step, same model and gaits", theirs, "steps/s")
+    yield row("simulator against bare", ours / theirs, "x", f">= {BARE}")
 
 
 def workers(n: int) -> Iterator[Row]:
@@ -215,18 +226,18 @@ def random_designs() -> Iterator[VoxelDesign]:
         yield from decoder.decode(sample_latents(1, rng))
 
 
-def clock(action: Callable[[], object]) -> float:
-    """Seconds of wall time that an action takes."""
-    started = time.perf_counter()
+def clock(action: Callable[[], object], now: Callable[[], float] = time.perf_counter) -> float:
+    """Seconds that an action takes, of wall time or by another clock."""
+    started = now()
     action()
-    return time.perf_counter() - started
+    return now() - started
 
 
-def timed(action: Callable[[VoxelDesign], Outcome], design: VoxelDesign) -> tuple[float, Outcome]:
-    """Seconds of wall time and what came of it."""
+def timed(action: Callable[Given, Result], *given: Given.args, **named: Given.kwargs) -> tuple[float, Result]:
+    """Seconds of wall time that a call takes, and what it returns."""
     started = time.perf_counter()
-    outcome = action(design)
-    return time.perf_counter() - started, outcome
+    result = action(*given, **named)
+    return time.perf_counter() - started, result
 
 
 def row(what: str, value: float, unit: str, goal: str | None = None, note: str | None = None) -> Row:
