@@ -6,10 +6,8 @@ import io
 import itertools
 import os
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +17,7 @@ from mfg.description import Description, describe
 from mfg.exact import box_solid, motor_solid, tunnel
 from mfg.manifest import NAME, manifest, manifest_bytes, part_file
 from mfg.masses import wire_stretches
+from mfg.pipeline import Outcome
 from mfg.plate import Lay, arrange
 from mfg.robot_files import Visual, mesh_files, mjcf, urdf
 from mfg.solids import Solid
@@ -32,26 +31,27 @@ SKIN_ALPHA = 0.55
 VISUAL_ERROR = 5e-4  # of the meshes that are only looked at [m]
 
 
-def write_blueprint(blueprint: Blueprint, folder: Path | str, outcome_json: Mapping[str, Any] | None = None) -> Path:
-    """Write the whole folder of a built blueprint; same blueprint, same bytes.
+def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
+    """Write the whole folder of a built blueprint; same design, same bytes.
 
     All files go into a hidden folder beside the target, which takes the target's name only when it is complete; an
     interrupted or failed export leaves nothing under that name.
 
     Args:
-        blueprint: with parts, as `mfg.pipeline.build` makes it.
+        outcome: what `mfg.pipeline.build` made.
         folder: target; an older blueprint there is replaced.
-        outcome_json: what to keep as `outcome` in the manifest.
 
     Returns:
         The folder.
 
     Raises:
-        ValueError: if the blueprint was not built.
+        ValueError: if the design cannot be built or was only scored.
         FileExistsError: if the target exists and is not a blueprint folder.
         OSError: if it cannot be written.
     """
-    files = blueprint_files(blueprint, outcome_json)
+    if outcome.failure is not None:
+        raise ValueError(f"design {outcome.design.key} cannot be built: {outcome.failure}")
+    files = blueprint_files(outcome.blueprint)
     folder = Path(folder)
     _check_target(folder)
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
@@ -73,7 +73,7 @@ def write_blueprint(blueprint: Blueprint, folder: Path | str, outcome_json: Mapp
     return folder
 
 
-def blueprint_files(blueprint: Blueprint, outcome_json: Mapping[str, Any] | None = None) -> dict[str, bytes]:
+def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
     """Contents of every file by its path, the manifest last."""
     if not blueprint.parts or not blueprint.masses:
         raise ValueError(f"design {blueprint.design.key} has no printed parts yet; build it before it is exported")
@@ -100,7 +100,7 @@ def blueprint_files(blueprint: Blueprint, outcome_json: Mapping[str, Any] | None
     files |= mesh_files(description, visuals)
     files["bom.csv"] = bill_of_materials(blueprint).encode()
     files["wiring.csv"] = wiring_table(blueprint).encode()
-    files[NAME] = manifest_bytes(manifest(blueprint, description, lays, files, outcome_json))
+    files[NAME] = manifest_bytes(manifest(blueprint, description, lays, files))
     return files
 
 

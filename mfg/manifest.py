@@ -31,9 +31,8 @@ class ManifestError(ValueError):
 
 
 def manifest(
-    blueprint: Blueprint, description: Description, lays: list[Lay], files: Mapping[str, bytes],
-    outcome: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    blueprint: Blueprint, description: Description, lays: list[Lay], files: Mapping[str, bytes]
+) -> dict[str, Any]:
     """Everything about a finished blueprint that fits in one JSON document.
 
     Args:
@@ -41,7 +40,6 @@ def manifest(
         description: of the same blueprint.
         lays: how each body lies on the printer.
         files: contents by path within the folder, for their hashes.
-        outcome: what `bodyplan build --json` prints, if it is to be kept.
     """
     return {
         "format": FORMAT,
@@ -67,7 +65,6 @@ def manifest(
         ],
         "parts": [_part(blueprint, part) for part in blueprint.parts],
         "robot": robot_json(description),
-        "outcome": None if outcome is None else dict(outcome),
         "files": {path: hashlib.sha256(files[path]).hexdigest() for path in sorted(files)},
     }  # fmt: skip
 

@@ -89,6 +89,7 @@ def prusa_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
                 ("name", volume.name), ("volume_type", "ModelPart"), ("matrix", _UNMOVED),
                 ("extruder", str(volume.extruder)), ("perimeters", str(volume.filament.walls)),
                 ("fill_density", f"{volume.filament.infill:.0%}"), ("fill_pattern", volume.filament.infill_pattern),
+                ("top_solid_layers", str(volume.filament.walls)), ("bottom_solid_layers", str(volume.filament.walls)),
             ):  # fmt: skip
                 settings.append(_setting("volume", key, value))
             settings.append("  </volume>")
@@ -134,6 +135,7 @@ def bambu_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
                 ("name", volume.name), ("matrix", _UNMOVED), ("extruder", str(volume.extruder)),
                 ("wall_loops", str(volume.filament.walls)), ("sparse_infill_density", f"{volume.filament.infill:.0%}"),
                 ("sparse_infill_pattern", volume.filament.infill_pattern),
+                ("top_shell_layers", str(volume.filament.walls)), ("bottom_shell_layers", str(volume.filament.walls)),
             ):  # fmt: skip
                 settings.append(_plain(key, value))
             settings.append("  </part>")

@@ -19,7 +19,7 @@ DOORS: dict[str, set[str]] = {
     "manifold3d": {"mfg/solids.py"},
     "skimage": {"mfg/solids.py"},
     "embreex": {"mfg/render.py"},
-    "trimesh": {"mfg/export.py"},
+    "trimesh": {"mfg/export.py", "experiments/check_builds.py"},
     "mujoco": {"sim/model.py", "sim/rollout.py", "sim/plant.py"},
     "cma": {"evo/cma_es.py", "sim/gaits.py"},
     "matplotlib": {"analysis/plots.py"},
