@@ -30,6 +30,7 @@ from mfg.scores import (
     electronics_install_score,
     electronics_score,
     motor_score,
+    mount_balance,
     oriented_extents,
     size_penalty,
 )
@@ -56,6 +57,7 @@ class FinishSolver:
         tolerance: surface error allowed when thinning triangles, half the width of a printed line [m].
         max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
         motors: the motor solver whose threshold and objective are applied again to the exact volumes.
+        slack: share of that threshold by which its sampled volumes may have been too large.
     """
 
     gap: float = 1.5e-3
@@ -66,6 +68,7 @@ class FinishSolver:
     tolerance: float = 3.0e-4
     max_touch: float = 1.0e-9
     motors: MotorSolver = field(default_factory=MotorSolver)
+    slack: float = 0.1
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
@@ -99,14 +102,14 @@ class FinishSolver:
         catalogue, seats = blueprint.catalogue, []
         for seat in blueprint.seats:
             V_h, V_c = attachment(blueprint, seat, bones)
-            score = self.motors.objective(V_h, V_c)
-            if score <= 0.0:
+            if min(V_h, V_c) < (1 - self.slack) * self.motors.min_overlap:
                 return Failure(
                     Stage.MOTOR,
                     Reason.NO_OVERLAP,
                     f"{blueprint.hinges[seat.hinge].name}: the solids share {1e6 * V_h:.1f} cm3 with the holder and "
                     f"{1e6 * V_c:.1f} cm3 with the connector, each needs {1e6 * self.motors.min_overlap:.1f} cm3",
                 )
+            score = mount_balance(V_h, V_c, self.motors.alpha)
             seats.append(replace(seat, holder_volume=V_h, connector_volume=V_c, score=score))
         scores = {
             "motor": motor_score([seat.score for seat in seats], mount, self.motors.alpha),
