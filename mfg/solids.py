@@ -176,9 +176,19 @@ def _of(kernel: m3.Manifold) -> Solid:
     if status != m3.Error.NoError:
         raise ValueError(f"mesh kernel: {status}")
     mesh = kernel.to_mesh64()
-    solid = Solid(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64))
+    solid = Solid(np.asarray(mesh.vert_properties)[:, :3], _ordered(np.asarray(mesh.tri_verts).astype(np.int64)))
     solid.__dict__["_kernel"] = kernel
     return solid
+
+
+def _ordered(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The same triangles in an order of their own: the kernel's tells which of its objects was made first."""
+    if len(triangles) == 0:
+        return triangles
+    count = int(triangles.max()) + 1
+    first = triangles.argmin(1)[:, None]
+    turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, 1)
+    return turned[np.argsort((turned[:, 0] * count + turned[:, 1]) * count + turned[:, 2])]
 
 
 def _boxes_meet(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

@@ -64,3 +64,15 @@ def test_an_open_mesh_is_not_a_solid() -> None:
     good = box((0, 0, 0), (1, 1, 1))
     with pytest.raises(ValueError, match="not a solid"):
         _ = Solid(good.vertices, good.triangles[1:]).volume
+
+
+def test_the_same_solid_has_the_same_bytes_whichever_operand_was_made_first() -> None:
+    def made(cutter_first: bool) -> Solid:
+        makers = [lambda: box([0, 0, 0], [1, 1, 1]), lambda: cylinder(0.3, -1, 2)]
+        pair = [make() for make in (makers[::-1] if cutter_first else makers)]
+        block, cutter = pair[::-1] if cutter_first else pair
+        return block - cutter
+
+    one, two = made(False), made(True)
+    assert one.vertices.tobytes() == two.vertices.tobytes()
+    assert one.triangles.tobytes() == two.triangles.tobytes()
