@@ -88,10 +88,10 @@ def blueprint_shapes(blueprint: Blueprint, explode: float = 0.0) -> list[Shape]:
         motor = _shape(housing(mount_of(blueprint.catalogue.motor)), MOTOR)
         for seat in blueprint.seats:
             shapes.append(_pushed(motor.moved(seat.T_design_motor), shift[seat.holder]))
-    for seat in blueprint.boxes:
-        half = np.array(seat.size) / 2
-        colour = BATTERY if seat.kind == "battery" else CONTROLLER
-        shapes.append(_pushed(_shape(box(-half, half), colour).moved(seat.T_design_box), shift[seat.body]))
+    for place in blueprint.boxes:
+        half = np.array(place.size) / 2
+        colour = BATTERY if place.kind == "battery" else CONTROLLER
+        shapes.append(_pushed(_shape(box(-half, half), colour).moved(place.T_design_box), shift[place.body]))
     if explode == 0.0:
         shapes += [_shape(ball_chain(wire.path, wire.radius), WIRE) for wire in blueprint.wires]
     if not blueprint.seats:
@@ -111,19 +111,19 @@ def contact_sheet(images: Sequence[Image], labels: Sequence[str], columns: int =
     Raises:
         ValueError: if there is no picture, or the numbers of pictures and labels differ.
     """
-    from PIL import Image as pillow
+    from PIL import Image as Pillow
     from PIL import ImageDraw, ImageFont
 
     if not images or len(images) != len(labels):
         raise ValueError(f"{len(images)} pictures and {len(labels)} labels: give one label for each of one or more")
     height, width = images[0].shape[:2]
     rows = -(-len(images) // columns)
-    sheet: Canvas = pillow.new("RGB", (columns * width, rows * (height + LABEL_HEIGHT)), "white")
+    sheet: Canvas = Pillow.new("RGB", (columns * width, rows * (height + LABEL_HEIGHT)), "white")
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=max(12.0, LABEL_HEIGHT * 0.45))
     for k, (image, label) in enumerate(zip(images, labels, strict=True)):
         x, y = (k % columns) * width, (k // columns) * (height + LABEL_HEIGHT)
-        sheet.paste(pillow.fromarray(image), (x, y))
+        sheet.paste(Pillow.fromarray(image), (x, y))
         draw.text((x + width / 2, y + height + LABEL_HEIGHT / 2), label, fill="#333333", font=font, anchor="mm")
     return np.asarray(sheet)
 

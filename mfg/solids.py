@@ -9,7 +9,7 @@ from functools import cached_property
 
 import manifold3d as m3
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from skimage import measure
 
 from mfg.fields import Field
@@ -157,10 +157,11 @@ def tube(outer: float, inner: float, low: float, high: float, segments: int = SE
     return cylinder(outer, low, high, segments) - cylinder(inner, low - 1e-3, high + 1e-3, segments)
 
 
-def box(low: Sequence[float], high: Sequence[float]) -> Solid:
+def box(low: ArrayLike, high: ArrayLike) -> Solid:
     """An axis-aligned box between two corners [m]."""
-    size = np.subtract(high, low)
-    return _of(m3.Manifold.cube(tuple(float(v) for v in size)).translate(tuple(float(v) for v in low)))
+    corner = np.asarray(low, np.float64)
+    x, y, z = (float(v) for v in np.asarray(high, np.float64) - corner)
+    return _of(m3.Manifold.cube((x, y, z)).translate((float(corner[0]), float(corner[1]), float(corner[2]))))
 
 
 def ball_chain(path: NDArray[np.float64], radius: float, segments: int = 12) -> Solid:
