@@ -7,6 +7,7 @@ import pytest
 from bodies import ellipsoid, painted
 
 from decoder.design import Joint, VoxelDesign
+from mfg.pipeline import Outcome, build
 
 
 @pytest.fixture(scope="session")
@@ -31,3 +32,11 @@ def creature() -> VoxelDesign:
     for x in (20, 44):
         soft |= ellipsoid((x, 32, 24), (7.5, 8.5, 14.5))
     return painted([torso, *legs], joints, soft)
+
+
+@pytest.fixture(scope="session")
+def built(creature: VoxelDesign) -> Outcome:
+    """The creature, all the way to printable parts."""
+    outcome = build(creature)
+    assert outcome.ok, outcome.failure
+    return outcome

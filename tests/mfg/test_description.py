@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial import ConvexHull
+
+from decoder.design import VoxelDesign
+from mfg.blueprint import Blueprint
+from mfg.description import HULL_VERTICES, Description, describe, thinned
+from mfg.parts import PAPER
+from mfg.pipeline import Outcome, score, virtual
+
+
+@pytest.fixture(scope="module", params=["virtual", "scored", "built"])
+def made(request: pytest.FixtureRequest, built: Outcome) -> Blueprint:
+    return {"virtual": virtual, "scored": score, "built": lambda _: built}[request.param](built.design).blueprint
+
+
+def test_links_stand_where_their_hinges_are(made: Blueprint) -> None:
+    robot = describe(made)
+    origins = robot.origins()
+    assert [link.name for link in robot.links] == [body.name for body in made.bodies]
+    assert_allclose(origins[1:], [hinge.position for hinge in made.hinges], atol=1e-12)
+    assert_allclose(robot.links[0].com, 0, atol=1e-12)
+    assert [joint.link for joint in robot.joints] == [hinge.body for hinge in made.hinges]
+    assert all(link.parent < index for index, link in enumerate(robot.links))
+
+
+def test_the_robot_stands_on_the_ground(made: Blueprint) -> None:
+    robot = describe(made)
+    above = robot.origins()[:, 2] - robot.origins()[0, 2] + robot.standing_height
+    assert_allclose(min(z + link.hull[:, 2].min() for z, link in zip(above, robot.links, strict=True)), 0, atol=1e-12)
+
+
+def test_hulls_are_small_and_hold_the_body(made: Blueprint) -> None:
+    robot = describe(made)
+    for index, (link, body, origin) in enumerate(zip(robot.links, made.bodies, robot.origins(), strict=True)):
+        assert 4 <= len(link.hull) <= HULL_VERTICES
+        hull = ConvexHull(link.hull)
+        field = body.skin or body.bone
+        inside = (np.argwhere(field.values > 0) + field.corner) * field.spacing
+        if made.parts:
+            inside = np.concatenate([part.solid.vertices for part in made.parts if part.body == index])
+        outside = ((inside[::5] - origin) @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+        assert outside.max() < 0.006  # what thinning to 128 vertices may cut off
+
+
+def test_the_source_says_whether_hardware_has_its_place(built: Outcome) -> None:
+    assert describe(virtual(built.design).blueprint).source == "design"
+    assert describe(score(built.design).blueprint).source == "blueprint"
+
+
+def test_the_imu_is_at_the_centre_of_the_controller(built: Outcome) -> None:
+    blueprint, robot = built.blueprint, describe(built.blueprint)
+    box = blueprint.box("controller")
+    T = robot.T_link_imu.copy()
+    T[:3, 3] += robot.origins()[robot.imu_link]
+    assert robot.imu_link == box.body
+    assert_allclose(T, box.T_design_box, atol=1e-12)
+
+
+def test_describing_changes_nothing_and_repeats_itself(built: Outcome) -> None:
+    before = built.blueprint.box("controller").T_design_box.copy()
+    one, two = describe(built.blueprint), describe(built.blueprint)
+    assert_allclose(built.blueprint.box("controller").T_design_box, before, rtol=0)
+    for a, b in zip(one.links, two.links, strict=True):
+        assert np.array_equal(a.hull, b.hull) and np.array_equal(a.inertia, b.inertia)
+
+
+def test_virtual_and_built_robot_share_their_skeleton(built: Outcome) -> None:
+    a: Description = describe(virtual(built.design).blueprint)
+    b = describe(built.blueprint)
+    assert_allclose(a.origins()[1:], b.origins()[1:], atol=1e-12)
+    assert_allclose([j.axis for j in a.joints], [j.axis for j in b.joints], atol=1e-12)
+    assert_allclose(a.mass, b.mass, rtol=0.25)
+
+
+def test_a_blueprint_without_bodies_cannot_be_described(creature: VoxelDesign) -> None:
+    with pytest.raises(ValueError, match="run the skeleton and bone solvers first"):
+        describe(Blueprint(creature, PAPER))
+
+
+def test_thinning_keeps_the_extremes_along_the_axes() -> None:
+    points = np.random.default_rng(0).normal(size=(4000, 3))
+    kept = thinned(points, 40)
+    assert len(kept) <= 40
+    assert_allclose([kept.min(0), kept.max(0)], [points.min(0), points.max(0)])
