@@ -12,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from mfg.blueprint import Blueprint, MotorSeat
+from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue, Size
-from mfg.fields import OUTSIDE, Field
-from mfg.mounts import Mount, connector_depth, holder_depth, mount_of
+from mfg.fields import Field
+from mfg.mounts import Mount, mount_of
 
 CABLE_ALPHA = 0.5  # weight of curvature against length: a sharp bend can be pulled through, a missing metre cannot
 CABLE_LENGTH = 2.0  # 1 / lambda_L: cable of one drum-side harness, at which the length term has fallen to 1/e [m]
 BEND_MARGIN = 1.0  # 1 / lambda_kappa in units of 1 / (least bend radius of the cable)
 OVERLAP_VOLUME = 1.7e-4  # lambda of Eq. 9: the ring around one J60, all that its mount can share with a bone [m3]
+NEAR_TIE = 0.05  # excess volume at which an oriented box counts 1/e of the least one
 SIZE_SHARE = 0.8  # share of the printer's volume, in its tightest direction, above which a body counts as large
 
 
@@ -92,28 +93,28 @@ def crossings(depth: Field) -> NDArray[np.float64]:
 
 
 def oriented_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Extents of the oriented box of least volume among those flush with a face and an edge of the hull [m], (3,).
+    """Sorted extents of the oriented box of least volume around points (n, 3), not all in one plane [m], (3,).
 
-    Args:
-        points: (n, 3), not all in one plane.
+    The boxes tried are flush with a face and an edge of the hull. Boxes that are nearly as small count too, with
+    weight exp(-(V / V_min - 1) / `NEAR_TIE`): the answer does not jump where two boxes change places.
     """
-    count = 120
+    count = 200
     turn = np.arange(count) * (np.pi * (3 - np.sqrt(5)))  # Directions all around, on a golden spiral.
     z = 1 - (2 * np.arange(count) + 1) / count
     ring = np.sqrt(1 - z**2)
     around = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), z])
-    # The hull of the extreme points in these directions proposes the frames; all points measure the best.
+    # The hull of the extreme points in these directions stands for the hull of all.
     extreme = points[np.unique((around @ points.T).argmax(axis=1))]
     hull = ConvexHull(extreme)
     corner, normal = extreme[hull.simplices], hull.equations[:, :3]
     x = (np.roll(corner, -1, axis=1) - corner).reshape(-1, 3)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     z = np.repeat(normal, 3, axis=0)
-    frames = np.stack([x, np.cross(z, x), z], axis=1)
-    spread = frames @ extreme.T
-    volume = (spread.max(axis=2) - spread.min(axis=2)).prod(axis=1)
-    turned = np.ptp(points @ frames[volume.argmin()].T, axis=0)
-    return min(np.ptp(points, axis=0), turned, key=lambda e: float(e.prod()))
+    spread = np.stack([x, np.cross(z, x), z], axis=1) @ extreme.T
+    extents = spread.max(axis=2) - spread.min(axis=2)
+    volume = extents.prod(axis=1)
+    weight = np.exp(-(volume / volume.min() - 1) / NEAR_TIE)
+    return np.asarray(weight @ np.sort(extents, axis=1) / weight.sum(), np.float64)
 
 
 def electronics_scale(catalogue: Catalogue) -> float:
@@ -159,19 +160,18 @@ def body_overlap(blueprint: Blueprint) -> float:
 
     A body is its bone with the mounts that motor integration adds to it: the holder (with the motor in it) where it
     holds one, the connector where it is screwed to one. Clearances that are carved later are not taken off: they are
-    the remedy, this is the disease.
+    the remedy, this is the disease. Mounts do not meet each other (the motor solver sees to it).
     """
-    rigid = with_mounts(blueprint)
-    return sum(shared_volume(a, b) for i, a in enumerate(rigid) for b in rigid[i + 1 :])
-
-
-def with_mounts(blueprint: Blueprint) -> tuple[Field, ...]:
-    """Depth of every bone united with its mounts, each on a lattice large enough for them."""
     mount = mount_of(blueprint.catalogue.motor)
-    return tuple(
-        _united(body.bone, [s for s in blueprint.seats if index in (s.holder, s.connector)], index, mount)
-        for index, body in enumerate(blueprint.bodies)
-    )
+    bones = [body.bone for body in blueprint.bodies]
+    total = sum(shared_volume(a, b) for i, a in enumerate(bones) for b in bones[i + 1 :])
+    cup = mount.holder_radius, mount.base_low, mount.connector_low
+    disc = mount.connector_radius, mount.connector_low, mount.connector_high
+    for seat in blueprint.seats:
+        for owner, (radius, low, high) in ((seat.holder, cup), (seat.connector, disc)):
+            others = [bone for index, bone in enumerate(bones) if index != owner]
+            total += _volume_in_cylinder(others, seat.T_design_motor, mount.attach_radius, radius, low, high)
+    return total
 
 
 def shared_volume(a: Field, b: Field) -> float:
@@ -204,25 +204,28 @@ def shared_volume(a: Field, b: Field) -> float:
     return float(share.sum(dtype=np.float64)) * a.spacing**3
 
 
-def _united(bone: Field, seats: list[MotorSeat], index: int, mount: Mount) -> Field:
-    reach = math.hypot(mount.envelope_radius, max(mount.connector_high, -mount.base_low)) + 2 * bone.spacing
-    low, high = np.array(bone.corner), np.add(bone.corner, bone.values.shape)
-    windows = []
-    for seat in seats:
-        centre = seat.T_design_motor[:3, 3]
-        windows.append([np.floor((centre - reach) / bone.spacing).astype(int),
-                        np.ceil((centre + reach) / bone.spacing).astype(int) + 1])  # fmt: skip
-        low, high = np.minimum(low, windows[-1][0]), np.maximum(high, windows[-1][1])
-    values = np.full(high - low, OUTSIDE, np.float32)
-    start = np.subtract(bone.corner, low)
-    values[tuple(slice(s, s + n) for s, n in zip(start, bone.values.shape, strict=True))] = bone.values
-    for seat, (first, last) in zip(seats, windows, strict=True):
-        axes = [np.arange(p, q) * bone.spacing for p, q in zip(first, last, strict=True)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        there = tuple(slice(p, q) for p, q in zip(first - low, last - low, strict=True))
-        depth = holder_depth if seat.holder == index else connector_depth
-        values[there] = np.maximum(values[there], depth(points, seat.T_design_motor, mount))
-    return Field(values, (int(low[0]), int(low[1]), int(low[2])), bone.spacing)
+def _volume_in_cylinder(
+    bones: Sequence[Field], T: NDArray[np.float64], inner: float, outer: float, low: float, high: float
+) -> float:
+    """Volume of all bones in a cylinder about z of frame T, sampled in rings that split at the radius `inner` [m3]."""
+    edges = np.concatenate([np.linspace(0, inner, 5), np.linspace(inner, outer, 4)[1:]])
+    radius, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    count = math.ceil((high - low) / 3.5e-3)
+    height = low + (np.arange(count) + 0.5) * (high - low) / count
+    angle = (np.arange(48) + 0.5) * (2 * np.pi / 48)
+    circle = np.cos(angle)[:, None] * T[:3, 0] + np.sin(angle)[:, None] * T[:3, 1]
+    flat = radius[:, None, None] * circle
+    points = T[:3, 3] + flat[:, :, None] + (height[:, None] * T[:3, 2])
+    cell = radius * width * (2 * np.pi / 48) * (high - low) / count
+    total = 0.0
+    corners = points.min(axis=(0, 1, 2)), points.max(axis=(0, 1, 2))
+    for bone in bones:
+        end = bone.origin + (np.array(bone.values.shape) - 1) * bone.spacing
+        if (corners[1] > bone.origin).all() and (corners[0] < end).all():
+            depth = bone.sample(points)
+            share = np.clip(depth / width[:, None, None] + 0.5, 0.0, 1.0)
+            total += float((share.sum(axis=(1, 2)) * cell).sum())
+    return total
 
 
 def _distance(points: NDArray[np.float64], surface: NDArray[np.float64]) -> NDArray[np.float64]:
