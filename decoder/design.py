@@ -162,7 +162,8 @@ class VoxelDesign:
             OSError: if it cannot be read at all.
         """
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            # Opened here, because numpy forgets to close a file that it cannot read.
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
                 if not isinstance(archive, np.lib.npyio.NpzFile):
                     raise DesignError(f"{path}: this is a single array, not a design archive (.npz)")
                 stored = {name: archive[name] for name in _ARRAYS if name in archive.files}

@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, sqlite3.DatabaseError) as error:
         if not _is_bad_input(error):
             raise
-        say(f"bodyplan: error: {_one_line(error)}")
+        say(f"bodyplan: error: {_one_line(error, argv)}")
         return BAD_INPUT
     return status
 
@@ -117,10 +117,11 @@ def _is_bad_input(error: BaseException) -> bool:
     return any(f"{kind.__module__}.{kind.__qualname__}" in BAD_INPUT_ERRORS for kind in type(error).__mro__)
 
 
-def _one_line(error: BaseException) -> str:
+def _one_line(error: BaseException, argv: list[str]) -> str:
     if isinstance(error, OSError) and error.strerror:
-        name = f"{error.filename}: " if error.filename is not None else ""
-        return f"{name}{error.strerror}"
+        # A full disk is reported without a name; the command line says what was being written.
+        name = error.filename if error.filename is not None else f"bodyplan {' '.join(argv)}"
+        return f"{name}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__
 
 

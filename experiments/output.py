@@ -48,10 +48,12 @@ def progress(iterable: Iterable[T], total: int | None, label: str) -> Iterator[T
     from tqdm import tqdm
 
     live = sys.stderr.isatty()
-    # In a log file a bar is a stream of lines: one every ten seconds is enough.
+    # In a log file a bar is a stream of lines: none for short work, then one every ten seconds.
+    pause = 0.1 if live else 10.0
     yield from tqdm(
-        iterable, total=total, desc=label, file=sys.stderr, dynamic_ncols=live, mininterval=0.1 if live else 10.0
-    )
+        iterable, total=total, desc=label, file=sys.stderr, dynamic_ncols=live, mininterval=pause,
+        delay=0.0 if live else pause,
+    )  # fmt: skip
 
 
 def make_folder(path: Path | str) -> Path:

@@ -192,7 +192,16 @@ DESIGNS: dict[str, tuple[Maker, str]] = {
         content("bad.vox", vox(chunk(b"SIZE", struct.pack("<iii", 256, 256, 256)),
                                chunk(b"XYZI", struct.pack("<i8B", 2, 0, 0, 0, 1, 255, 255, 255, 1)))), "bad.vox",
     ),
-    "vox: nothing but soft": (content("bad.vox", vox(SIZE, VOXEL)), "bad.vox"),
+    "vox: nothing but soft": (
+        content("bad.vox", vox(SIZE, chunk(b"XYZI", struct.pack("<i4B", 1, 5, 5, 5, 200)))), "no bone",
+    ),
+    "vox: a colour without a meaning": (
+        content("bad.vox", vox(SIZE, chunk(b"XYZI", struct.pack("<i4B", 1, 5, 5, 5, 77)))), "palette index 77",
+    ),
+    "vox: a hinge of one voxel": (
+        content("bad.vox", vox(SIZE, chunk(b"XYZI", struct.pack("<i8B", 2, 5, 5, 5, 1, 6, 5, 5, 250)))), "single voxel",
+    ),
+    "vox: two models": (content("bad.vox", vox(SIZE, VOXEL, SIZE, VOXEL)), "2 models"),
 }  # fmt: skip
 
 COMMANDS: dict[str, tuple[Maker, str]] = {
@@ -325,7 +334,7 @@ def one_clear_line(said, fragment):
     assert said.out == ""
     assert said.err.startswith("bodyplan: error: ")
     assert said.err.count("\n") == 1, said.err
-    assert 30 < len(said.err) < 400
+    assert 30 < len(said.err) < 600
     assert re.search(fragment, said.err, re.IGNORECASE)
 
 

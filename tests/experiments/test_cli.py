@@ -100,7 +100,7 @@ def test_options_are_not_abbreviated(bodyplan):
         (DesignError("empty grid"), "empty grid"),
         (BundleError("no joints"), "no joints"),
         (FileNotFoundError(2, "No such file or directory", "a.npz"), "a.npz: No such file or directory"),
-        (OSError(28, "No space left on device"), "No space left on device"),
+        (OSError(28, "No space left on device"), "bodyplan doctor: No space left on device"),
         (sqlite3.DatabaseError("file is not a database"), "file is not a database"),
         (sqlite3.OperationalError("no such table: evaluations"), "no such table: evaluations"),
     ],

@@ -20,6 +20,12 @@ def small(monkeypatch):
     monkeypatch.setattr(sample, "PICTURE", (48, 36))
 
 
+@pytest.fixture
+def unseen(monkeypatch):
+    """Where nobody looks, a grey card stands for the picture."""
+    monkeypatch.setattr("mfg.picture.picture_of_design", lambda *_: np.full((36, 48, 3), 128, np.uint8))
+
+
 def test_a_sample_is_what_its_json_says(bodyplan, tmp_path, small):
     said = bodyplan("sample", "-n", "3", "--seed", "5", "--out", tmp_path / "s", "--json")
     assert said.status == 0
@@ -42,27 +48,27 @@ def keys(folder: Path) -> list[str]:
     return [VoxelDesign.load(file).key for file in sorted(folder.glob("body_*.npz"))]
 
 
-def test_the_same_seed_draws_the_same_bodies_and_a_larger_sample_begins_with_a_smaller_one(bodyplan, tmp_path, small):
+def test_the_same_seed_draws_the_same_bodies_and_a_larger_sample_begins_with_a_smaller_one(bodyplan, tmp_path, unseen):
     for name, n, seed in (("a", 2, 1), ("b", 3, 1), ("c", 2, 2)):
         assert bodyplan("sample", "-n", n, "--seed", seed, "--out", tmp_path / name).status == 0
     assert keys(tmp_path / "a") == keys(tmp_path / "b")[:2]
     assert keys(tmp_path / "a") != keys(tmp_path / "c")
 
 
-def test_the_prior_is_recorded_and_used(bodyplan, tmp_path, small):
+def test_the_prior_is_recorded_and_used(bodyplan, tmp_path, unseen):
     bodyplan("sample", "-n", "1", "--prior", "uniform", "--out", tmp_path)
     assert json.loads((tmp_path / "sample.json").read_text("utf-8"))["prior"] == "uniform"
     assert np.abs(np.load(tmp_path / "latents.npy")).max() <= np.sqrt(3)
 
 
-def test_names_sort_in_the_order_of_drawing(bodyplan, tmp_path, small, monkeypatch):
+def test_names_sort_in_the_order_of_drawing(bodyplan, tmp_path, unseen, monkeypatch):
     monkeypatch.setattr(sample, "MOST_PICTURES", 1)
     said = bodyplan("sample", "-n", "11", "--out", tmp_path)
     assert sorted(p.name for p in tmp_path.glob("body_*.npz"))[-1] == "body_10.npz"
     assert "the contact sheet shows the first 1" in said.err
 
 
-def test_bodies_of_an_earlier_sample_are_kept_and_pointed_out(bodyplan, tmp_path, small):
+def test_bodies_of_an_earlier_sample_are_kept_and_pointed_out(bodyplan, tmp_path, unseen):
     bodyplan("sample", "-n", "2", "--out", tmp_path)
     assert "also holds 1 bodies" in bodyplan("sample", "-n", "1", "--out", tmp_path).err
     assert len(keys(tmp_path)) == 2
