@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import os
-import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.output import DONE, INFEASIBLE, INTERRUPTED, BadInput, emit, make_folder, progress, say
+from experiments.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    REPORT,
+    cores,
+    locked,
+    opened,
+    terminable,
+    worker_count,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from evo.evaluation import Evaluation
@@ -21,10 +28,7 @@ if TYPE_CHECKING:
 
 HELP = "an experiment from its TOML file: evolution, study or sketch"
 
-RECORD, CONFIG, CHECKPOINT, BEST, REPORT, RESULT = (
-    "run.sqlite", "config.toml", "checkpoint", "best", "report.html", "result.json",
-)  # fmt: skip
-DEPENDENCIES = ("numpy", "scipy", "cma", "mujoco", "manifold3d", "scikit-image")  # whose versions can change a result
+RECORD, BEST, RESULT = "run.sqlite", "best", "result.json"
 OPTIMISER = 0  # purpose of the optimiser's randomness; candidates have theirs
 
 
@@ -33,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", type=Path, metavar="CONFIG.toml", help="what to do; see experiments/configs")
     parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (runs/ and the name of the configuration)")
     parser.add_argument("--resume", action="store_true", help="go on with the run in DIR if there is one")
-    parser.add_argument("--workers", type=_workers, help="processes; 0 works in this one (one per core)")
+    parser.add_argument("--workers", type=worker_count, help="processes; 0 works in this one (one per core)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
@@ -44,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     folder = args.out or Path("runs") / args.config.stem
     try:
-        with _terminable():
+        with terminable():
             if isinstance(config, Evolve):
                 result = run_evolution(config, folder, args.resume, args.workers)
             elif isinstance(config, Sketch):
@@ -76,14 +80,15 @@ def run_evolution(config: Evolve, folder: Path, resume: bool, workers: int | Non
         OSError: if the folder cannot be written.
     """
     make_folder(folder)
-    with _locked(folder), _opened(config, folder, resume) as record:
+    with locked(folder), opened(config, folder / RECORD, config.search.popsize, resume) as record:
+        (folder / CHECKPOINT).mkdir(exist_ok=True)
         finished = _finished(folder)
         if finished is not None:
             say(f"{folder} is finished; its report is {folder / REPORT}")
             return finished
         started = time.monotonic()
         count = workers if workers is not None else config.workers
-        _evolve(config, record, folder, _cores() if count is None else count)
+        _evolve(config, record, folder, cores() if count is None else count)
         result = _conclude(config, record, folder, round(time.monotonic() - started, 1))
     say(_summary(result))
     return result
@@ -144,9 +149,9 @@ def _conclude(config: Evolve, record: Record, folder: Path, seconds: float) -> d
         outcome = build(decode(config.decoder, champion.candidate))
         best = write_best(folder / BEST, outcome, champion.walk.gait, config_hash(config))
         result["winner"] = _described(champion, best.behaviour, best.dry_run)
-    _write_report(folder)
     result["seconds"] = seconds
-    _write_json(folder / RESULT, result)
+    write_json(folder / RESULT, result)
+    _write_report(folder)
     return result
 
 
@@ -168,7 +173,7 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
 
     design = read_design(Path(config.design))
     make_folder(folder)
-    with _locked(folder):
+    with locked(folder):
         if (folder / RESULT).exists() and not resume:
             raise BadInput(f"{folder} holds a result already; choose another --out, or --resume to make it again")
         (folder / CONFIG).write_text(to_toml(config), encoding="utf-8")
@@ -183,7 +188,8 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
             result["winner"] = {"design": design.key, **best.behaviour, "dry_run": best.dry_run}
         else:
             say(f"bodyplan: {config.design} cannot be built: {outcome.failure}")
-        _write_json(folder / RESULT, result)
+        write_json(folder / RESULT, result)
+        _write_report(folder)
     return result
 
 
@@ -224,54 +230,6 @@ def _summary(result: dict[str, Any]) -> str:
     return "\n".join(f"  {name:10} {text}" for name, text in rows)
 
 
-@contextlib.contextmanager
-def _opened(config: Evolve, folder: Path, resume: bool) -> Iterator[Record]:
-    """The run file, made or found; a run of another configuration is refused."""
-    from evo.record import Record
-    from experiments.config import config_hash, to_toml
-
-    path, popsize = folder / RECORD, config.search.popsize
-    if path.exists():
-        if not resume:
-            raise BadInput(f"{folder} holds a run already; go on with it by --resume, or choose another --out")
-        _check_past(path, config)
-    else:
-        if resume:
-            say(f"{folder} holds no run yet: starting it")
-        (folder / CHECKPOINT).mkdir(exist_ok=True)
-        versions = _versions()
-        (folder / CONFIG).write_text(to_toml(config), encoding="utf-8")
-        Record.create(
-            path, popsize,
-            {"config": to_toml(config), "config_hash": config_hash(config), "seed": str(config.seed),
-             "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions)},
-        ).close()  # fmt: skip
-    (folder / CHECKPOINT).mkdir(exist_ok=True)
-    with Record(path, popsize) as record:
-        yield record
-
-
-def _check_past(path: Path, config: Evolve) -> None:
-    import tomllib
-
-    from evo.record import Record
-    from experiments.config import differences, parse_config
-
-    with Record(path, config.search.popsize) as record:
-        meta = record.meta()
-    then = parse_config(tomllib.loads(meta["config"]), f"{path}, meta")
-    changes = differences(then, config)
-    if changes:
-        raise BadInput(
-            f"{path.parent} was made with another configuration: {'; '.join(changes)}; "
-            f"resume with {path.parent / CONFIG}, or choose another --out"
-        )
-    before, now = json.loads(meta["versions"]), _versions()
-    other = [f"{name} was {before.get(name)} and is now {now[name]}" for name in now if before.get(name) != now[name]]
-    if other:
-        say(f"note: {'; '.join(other)}: the rest of this run may differ from what it would have been")
-
-
 def _finished(folder: Path) -> dict[str, Any] | None:
     """The result of a run that is complete."""
     if not (folder / REPORT).exists() or not (folder / RESULT).exists():
@@ -284,62 +242,3 @@ def _write_report(folder: Path) -> None:
     from analysis.report import write_report
 
     write_report(folder)
-
-
-def _versions() -> dict[str, str]:
-    import platform
-    from importlib.metadata import version
-
-    from experiments.cli import VERSION
-
-    return {"bodyplan": VERSION, "python": platform.python_version(), **{name: version(name) for name in DEPENDENCIES}}
-
-
-def _write_json(path: Path, value: dict[str, Any]) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
-
-
-def _workers(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-    if not 0 <= value <= 1024:
-        raise argparse.ArgumentTypeError(f"{value} is out of bounds; it must lie in [0, 1024]")
-    return value
-
-
-def _cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Keep a second process from writing the same run; a killed one leaves no lock behind."""
-    import fcntl
-
-    with (folder / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise BadInput(
-                f"{folder} is being written by another process; wait for it or choose another --out"
-            ) from None
-        yield
-
-
-@contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """Treat a cluster's polite request to stop like Ctrl-C."""
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

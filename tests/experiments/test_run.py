@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from evo.evaluation import Candidate, Evaluation, Walk
-from experiments import best, run
+from experiments import best, run, run_folder
 from mfg.outcome import Failure, Reason, Scores, Stage
 from sim.actor import Gait
 
@@ -175,7 +175,7 @@ def test_the_number_of_workers_may_change(experiment: Command, tmp_path: Path, m
 def test_other_versions_are_told(experiment: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     stop_at(monkeypatch, 3, interrupt)
     assert experiment().status == 3
-    monkeypatch.setattr(run, "_versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(run_folder, "versions", lambda: {"numpy": "0.1"})
     said = experiment("--resume")
     assert said.status == 0
     assert "and is now 0.1: the rest of this run may differ" in said.err
