@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from decoder.design import Joint
 from mfg.blueprint import Blueprint, Body, Hinge, MotorSeat
+from mfg.electronics import ElectronicsSolver
 from mfg.fields import Field, box_distance
 from mfg.mounts import motor_pose
 from mfg.parts import PAPER
@@ -72,3 +73,18 @@ def blueprint_of(
         hinges.append(Hinge(k + 1, 0, p, a, np.array([-1.0, 1.0])))
         motors.append(MotorSeat(k, holder, connector, 0.0, motor_pose(p, a, 0.0), 1e-5, 1e-5, 1e-5))
     return Blueprint(design, PAPER, bodies=bodies, hinges=tuple(hinges), seats=tuple(motors))
+
+
+def three_motor_robot() -> Blueprint:
+    """A torso with both boxes, an arm on either side and a hand on one of them: three motors."""
+    bones = [
+        box_bone((0.30, 0.30, 0.30), (0.24, 0.15, 0.12)),
+        box_bone((0.48, 0.30, 0.30), (0.12, 0.10, 0.10)),
+        box_bone((0.12, 0.30, 0.30), (0.12, 0.10, 0.10)),
+        box_bone((0.60, 0.30, 0.30), (0.12, 0.10, 0.10)),
+    ]
+    seats = [(0, 1, (0.43, 0.30, 0.30), (0, 1, 0)), (2, 0, (0.17, 0.30, 0.30), (0, 1, 0)),
+             (1, 3, (0.55, 0.30, 0.30), (0, 0, 1))]  # fmt: skip
+    answer = ElectronicsSolver().solve(blueprint_of(bones, seats))
+    assert isinstance(answer, Blueprint), str(answer)
+    return answer
