@@ -21,7 +21,7 @@ BODYPLAN_TORCH ?= $(shell if nvidia-smi -L >/dev/null 2>&1; then \
 	echo "torch>=2.6,<2.14,!=2.13.0+cpu"; else echo "torch>=2.6,<2.14"; fi)
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test check format bench clean distclean
+.PHONY: help install run test check format bench picture clean distclean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):[^#]*## /\1\t/' | \
@@ -58,6 +58,9 @@ format: install  ## rewrite the sources in the one format
 
 bench: install  ## measure: one table, and docs/bench.json beside it
 	@$(ONE_THREAD) $(BIN)/python -m experiments.bench --out docs
+
+picture: install  ## draw docs/robot.png of the README from the run in OUT
+	@$(BIN)/python -m experiments.cover "$(OUT)" --out docs/robot.png
 
 clean:  ## remove caches (runs and .venv stay)
 	@rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
