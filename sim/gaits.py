@@ -37,10 +37,10 @@ class GaitBudget:
         hopeless: give up after the random gaits if none of them scores this [m/s].
     """
 
-    random: int = 24
+    random: int = 12
     random_seconds: float = 3.0
-    generations: int = 6
-    population: int = 14
+    generations: int = 13
+    population: int = 8
     seconds: float = 4.0
     finalists: int = 3
     final_seconds: float = 10.0
@@ -57,7 +57,7 @@ class GaitBudget:
 
 
 SCREENING = GaitBudget()  # for every body of an evolution
-THOROUGH = GaitBudget(random=32, generations=14, population=16, seconds=6.0)  # for the one that will be built
+THOROUGH = GaitBudget(random=16, generations=20, population=12, seconds=6.0)  # for the one that will be built
 
 
 @dataclass(frozen=True, eq=False, slots=True)

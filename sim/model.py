@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 
 from mfg.catalogue import Motor
 from mfg.description import HULL_VERTICES, DescribedJoint, Description
+from mfg.robot_files import CONTACT_TIME, FRICTION, STALL_OVER_PEAK, TIMESTEP
 
-TIMESTEP = 0.004  # [s]; ranks gaits like 0.5 ms does (Spearman 0.94), 10 ms no longer does (0.86)
-FRICTION = (0.8, 0.005, 0.0001)  # sliding of TPU on a floor (assumed), torsion [m], rolling [m]
-CONTACT_TIME = 0.02  # time constant of the soft skin's contact [s]; MuJoCo scales it with mass, so it is no stiffness
-STALL_OVER_PEAK = 2.0  # (assumed) what the winding would give at stall over what the driver allows
 CONTINUOUS_OVER_PEAK = 1.0 / 3.0  # (assumed) for a model file that does not say
 WIRE_STIFFNESS_STEP = 1.0  # the least change of kp on the wire [N.m/rad]
 WIRE_DAMPING_STEP = 0.2  # the least change of kd on the wire [N.m.s/rad]
@@ -137,6 +134,8 @@ def load_spec(path: Path | str, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
     for actuator in spec.actuators:
         if actuator.target not in hinges or actuator.gaintype != mujoco.mjtGain.mjGAIN_DCMOTOR:
             raise ModelError(f"{path}: actuator {actuator.name!r} is not a dcmotor on a hinge; write it as one")
+        if actuator.delay > 0:
+            actuator.nsample = _samples(actuator.delay, timestep)
     _set_world(spec, timestep)
     return spec
 
@@ -155,7 +154,7 @@ def add_motor(spec: mujoco.MjSpec, joint: str, motor: Motor, timestep: float) ->
     )  # fmt: skip
     actuator.userdata = [motor.continuous_torque]
     if motor.latency > 0:
-        actuator.delay, actuator.nsample = motor.latency, math.ceil(motor.latency / timestep - 1e-9)
+        actuator.delay, actuator.nsample = motor.latency, _samples(motor.latency, timestep)
 
 
 def quantised(value: float, step: float) -> float:
@@ -263,6 +262,11 @@ def _set_world(spec: mujoco.MjSpec, timestep: float) -> None:
             name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0), contype=1, conaffinity=0,
             condim=3, friction=FRICTION, solref=(CONTACT_TIME, 1.0),
         )  # fmt: skip
+
+
+def _samples(delay: float, timestep: float) -> int:
+    """How many commands are on their way during a delay."""
+    return math.ceil(delay / timestep - 1e-9)
 
 
 def _first_line(error: BaseException) -> str:

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mfg.description import Description
 from sim.model import DAMPING, IMU, STIFFNESS, ModelError, drive_of, load_spec, make_spec
+from sim.rollout import rest
 
 TIMESTEP = 0.001  # a motor closes its loop at 1 kHz [s]
-SETTLE = 1.0  # the robot drops onto the floor before the bus starts, its joints held at rest [s]
-HOLD_STIFFNESS, HOLD_DAMPING = 40.0, 1.6  # while it does so [N.m/rad, N.m.s/rad]
+HOLD_STIFFNESS, HOLD_DAMPING = 40.0, 1.6  # while the robot drops onto the floor [N.m/rad, N.m.s/rad]
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ class Plant:
         hold = np.zeros((5, n))
         hold[2], hold[3] = HOLD_STIFFNESS, HOLD_DAMPING
         self._apply(hold)
-        mujoco.mj_step(self._model, self._data, nstep=round(SETTLE / TIMESTEP))
+        rest(self._model, self._data)
         self._data.time = 0.0
         self._clock = 0.0
         # A motor that has heard nothing yet is limp.

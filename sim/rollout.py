@@ -16,7 +16,9 @@ from sim.actor import Gait
 from sim.model import Model, body_length, compile_model, drive_of, model_name
 
 CONTROL_PERIOD = 0.02  # targets change at 50 Hz [s]
-SETTLE = 1.0  # the robot drops onto the floor and stands still before any gait [s]
+SETTLE = 6.0  # at most so long a robot may drop, topple and rock before any gait [s]
+SETTLE_CHECK = 0.25  # how often it is asked whether it rests [s]
+REST = 0.02  # it does if nothing moves faster [m/s, rad/s]
 LEAD_IN = 0.5  # the gait is faded in, and nothing is measured yet [s]
 WINDOW = 2.0  # speed is measured over windows of this length, each in the heading the body has at its start [s]
 FALL_TILT = np.pi / 3  # a root that has turned further from upright than this has fallen [rad]
@@ -68,7 +70,7 @@ class Behaviour:
             a closed loop can hold a heading; going to and fro, or round in circles within 2 s, earns nothing.
         heading: that best direction of the body, from the x axis it stood in [rad].
         body_length: greatest extent of the robot at rest [m].
-        fell: the root turned more than 60 degrees from upright.
+        fell: the root turned more than 60 degrees from how it stood (or lay) at the start.
         upright: share of the episode before it fell, 1 if it did not.
         cost_of_transport: mechanical work / (weight * distance); None where it did not move a millimetre.
         max_torque: greatest torque of any motor [N.m].
@@ -125,13 +127,25 @@ def simulate(robot: Description | Model, gait: Gait, seconds: float = 10.0) -> B
 
 
 def settle(model: Model) -> NDArray[np.float64]:
-    """Drop the robot onto the floor in its pose at rest and wait; gives the full state, (nstate,)."""
+    """Drop the robot onto the floor in its pose at rest and wait until it lies still; gives the full state, (nstate,).
+
+    Many bodies cannot stand as they were drawn. How they lie after they have toppled is how they start, so that no gait
+    earns anything by falling over.
+    """
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=_steps(model, SETTLE))
+    rest(model, data)
     data.time = 0.0
     state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
     return state
+
+
+def rest(model: Model, data: mujoco.MjData) -> None:
+    """Step until nothing moves any more, with the controls as they are."""
+    for _ in range(round(SETTLE / SETTLE_CHECK)):
+        mujoco.mj_step(model, data, nstep=_steps(model, SETTLE_CHECK))
+        if np.abs(data.qvel).max() < REST:
+            break
 
 
 def roll_out(

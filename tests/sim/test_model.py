@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from mfg.description import Description
 from mfg.parts import J60_6
+from mfg.robot_files import mesh_files, mjcf
 from sim.model import (
     CONTACT_TIME,
     STALL_OVER_PEAK,
@@ -21,6 +22,7 @@ from sim.model import (
     drive_of,
     load_model,
     make_spec,
+    model_name,
     quantised,
 )
 
@@ -179,16 +181,27 @@ def test_a_command_acts_after_the_latency(pendulum: Description) -> None:
     assert felt.index(True) == round(J60_6.latency / model.opt.timestep)
 
 
-def test_a_saved_model_loads_as_the_same_robot(quadruped: Description, tmp_path: Path) -> None:
-    spec = make_spec(quadruped)
-    spec.compile()
-    (tmp_path / "robot.xml").write_text(spec.to_xml())
-    model, again = compile_model(quadruped), load_model(tmp_path / "robot.xml")
-    for field in ("body_mass", "body_inertia", "body_pos", "jnt_range", "dof_armature", "actuator_gainprm",
-                  "actuator_forcerange", "actuator_delay", "actuator_user"):  # fmt: skip
-        assert_allclose(getattr(again, field), getattr(model, field), rtol=1e-5, atol=1e-9, err_msg=field)
-    assert again.opt.impratio == model.opt.impratio
-    assert again.opt.cone == model.opt.cone
+def exported(description: Description, folder: Path) -> Path:
+    for name, content in mesh_files(description, ()).items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+    (folder / "robot.xml").write_text(mjcf(description))
+    return folder / "robot.xml"
+
+
+@pytest.mark.parametrize("timestep", [0.004, 0.001])
+def test_the_exported_file_is_the_compiled_model(quadruped: Description, tmp_path: Path, timestep: float) -> None:
+    model = compile_model(quadruped, timestep=timestep)
+    again = load_model(exported(quadruped, tmp_path), timestep=timestep)
+    for field in ("body_mass", "body_pos", "body_inertia", "body_ipos", "jnt_axis", "jnt_range", "dof_armature",
+                  "dof_frictionloss", "actuator_gainprm", "actuator_forcerange", "actuator_delay", "actuator_history",
+                  "actuator_user", "geom_friction", "geom_solref", "geom_condim", "geom_contype", "geom_conaffinity",
+                  "site_pos", "site_quat", "qpos0"):  # fmt: skip
+        assert_allclose(getattr(again, field), getattr(model, field), rtol=1e-6, atol=1e-9, err_msg=field)
+    for option in ("timestep", "integrator", "cone", "impratio", "gravity"):
+        assert_allclose(getattr(again.opt, option), getattr(model.opt, option), err_msg=option)
+    assert model_name(again) == model_name(model) == "quadruped"
+    assert_allclose(body_length(again), body_length(model), rtol=1e-6)
 
 
 @pytest.mark.parametrize(

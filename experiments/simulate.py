@@ -1,0 +1,166 @@
+"""`bodyplan simulate`: how a blueprint or a design moves, by a policy or by a gait found on the spot."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.build import read_design
+from experiments.output import DONE, INFEASIBLE, BadInput, emit, say, seed
+
+if TYPE_CHECKING:
+    from sim.actor import Gait
+    from sim.model import Model
+    from sim.rollout import Behaviour
+
+HELP = "let a blueprint or a design walk, measure it and film it"
+MODEL_FILE = "robot.xml"
+FILMS = (".mp4", ".png")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "robot", type=Path, metavar="BLUEPRINT|DESIGN", help=f"a blueprint folder, its {MODEL_FILE}, a .npz or a .vox"
+    )
+    parser.add_argument("--policy", type=Path, metavar="BUNDLE", help="policy bundle; without one a gait is searched")
+    parser.add_argument("--seconds", type=_seconds, default=10.0, help="how long to measure (10)")
+    parser.add_argument("--video", type=Path, metavar="FILE", help="film it: .mp4, or .png for a strip of moments")
+    parser.add_argument("--seed", type=seed, default=0, help="of the search for a gait (0)")
+    parser.add_argument("--virtual", action="store_true", help="a design as drawn, before any hardware is put into it")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Simulate one robot; status 1 if the design cannot be built or its physics explodes."""
+    from sim.rollout import Diverged, measure, roll_out
+
+    if args.video is not None:
+        _check_film(args.video)
+    model = _model(args.robot, args.virtual)
+    if model is None:
+        return INFEASIBLE
+    try:
+        gait = _search(model, args) if args.policy is None else _policy(model, args.policy)
+    except Diverged as error:
+        say(f"bodyplan: {error}")
+        return INFEASIBLE
+    rollouts = roll_out(model, [gait], args.seconds)
+    behaviour = measure(model, rollouts)[0]
+    if behaviour is None:
+        say(f"bodyplan: the physics of {args.robot} exploded within {args.seconds:g} s under this gait")
+        return INFEASIBLE
+    if args.video is not None:
+        from sim.video import save_strip, save_video
+
+        say(f"drawing {args.video}")
+        save = save_strip if args.video.suffix.lower() == ".png" else save_video
+        save(args.video, model, rollouts)
+    if args.json:
+        emit(_document(args, model, gait, behaviour))
+    else:
+        _tell(args, behaviour)
+    return DONE
+
+
+def _model(path: Path, virtual: bool) -> Model | None:
+    """The model of a blueprint or a design, or None where the design cannot be built and the reason was said."""
+    from sim.model import ModelError, compile_model, load_model
+
+    if path.is_dir() or path.suffix.lower() == ".xml":
+        file = path / MODEL_FILE if path.is_dir() else path
+        if path.is_dir() and not file.exists():
+            raise BadInput(
+                f"{path} has no {MODEL_FILE}; give a blueprint folder (`bodyplan build` makes one) or a design"
+            )
+        if virtual:
+            raise BadInput(f"--virtual needs a design, and {path} is a blueprint: its hardware is in it already")
+        try:
+            return load_model(file)
+        except ModelError as error:
+            raise BadInput(str(error)) from None
+    from mfg import pipeline
+    from mfg.description import describe
+
+    design = read_design(path)
+    outcome = pipeline.virtual(design) if virtual else pipeline.score(design)
+    if not outcome.ok:
+        hint = "" if virtual else "; --virtual simulates it all the same"
+        say(f"bodyplan: {path} cannot be built: {outcome.failure}{hint}")
+        return None
+    return compile_model(describe(outcome.blueprint))
+
+
+def _policy(model: Model, folder: Path) -> Gait:
+    """The gait of a bundle, its joints in the order of the model's."""
+    from sim.actor import Gait, load_bundle
+    from sim.model import drive_of
+
+    bundle = load_bundle(folder)
+    names = drive_of(model).names
+    if sorted(names) != sorted(bundle.names):
+        raise BadInput(f"{folder} drives joints {sorted(bundle.names)}, the robot has {sorted(names)}")
+    if bundle.time_constant > 0:
+        say(f"the policy's low-pass of {bundle.time_constant:g} s is left out here")
+    order = [bundle.names.index(name) for name in names]
+    gait = bundle.actor
+    return Gait(gait.frequency, gait.amplitude[order], gait.phase[order], gait.offset[order])
+
+
+def _search(model: Model, args: argparse.Namespace) -> Gait:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from sim.gaits import SCREENING, search_gait
+
+    say("searching a gait")
+    budget = replace(SCREENING, final_seconds=args.seconds)
+    return search_gait(model, np.random.default_rng(args.seed), budget).gait
+
+
+def _check_film(path: Path) -> None:
+    if path.suffix.lower() not in FILMS:
+        raise BadInput(f"--video {path}: a film ends in {' or '.join(FILMS)}")
+    if not path.parent.is_dir():
+        raise BadInput(f"--video {path}: there is no folder {path.parent}")
+
+
+def _document(args: argparse.Namespace, model: Model, gait: Gait, behaviour: Behaviour) -> dict[str, Any]:
+    from sim.model import model_name
+
+    return {
+        **behaviour.to_json(),
+        "robot": model_name(model),
+        "policy": None if args.policy is None else str(args.policy),
+        "gait": {
+            "frequency_hz": gait.frequency,
+            "amplitude_rad": gait.amplitude.tolist(),
+            "phase_rad": gait.phase.tolist(),
+            "offset_rad": gait.offset.tolist(),
+        },
+        "video": None if args.video is None else str(args.video),
+    }
+
+
+def _tell(args: argparse.Namespace, behaviour: Behaviour) -> None:
+    lengths = behaviour.distance / behaviour.body_length
+    fell = "fell over" if behaviour.fell else "stayed upright"
+    print(f"{args.robot} went {behaviour.distance:.2f} m ({lengths:.1f} body lengths) in {behaviour.seconds:.0f} s "
+          f"and {fell}; speed {behaviour.speed:.3f} m/s along its best heading")  # fmt: skip
+    print(f"torque up to {behaviour.max_torque:.1f} N.m, {behaviour.overload:.0%} of what the motors bear for long; "
+          + ("no cost of transport" if behaviour.cost_of_transport is None
+             else f"cost of transport {behaviour.cost_of_transport:.2f}"))  # fmt: skip
+    if args.video is not None:
+        print(f"film in {args.video}")
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not 0.1 <= value <= 1000.0:
+        raise argparse.ArgumentTypeError(f"{text} is out of bounds; it must lie in [0.1, 1000] s")
+    return value
