@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from experiments.run_folder import write_json
 
 if TYPE_CHECKING:
     from mfg.pipeline import Outcome
     from sim.actor import Gait
 
 BLUEPRINT, BUNDLE, VIDEO, STRIP, DRY_RUN = "blueprint", "bundle", "walk.mp4", "walk.png", "dry_run.json"
-EPISODE = 10.0  # [s] of walking, on video and on the bus
+EPISODE = 10.0  # of walking, measured and on the bus [s]
+FILM = 6.0  # of walking, on video [s]
 PICTURE = (1200, 900)  # [pixel]
 
 
@@ -65,14 +66,7 @@ def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str) -> 
     if behaviour is None:
         raise RuntimeError(f"the exported model {robot / 'robot.xml'} explodes under a gait that its twin walks with")
     save_strip(folder / STRIP, model, rollouts)
-    save_video(folder / VIDEO, model, rollouts)
+    save_video(folder / VIDEO, model, roll_out(model, [gait], FILM))
     dry = dry_run(folder / BUNDLE, EPISODE)
-    _write_json(folder / DRY_RUN, dry)
+    write_json(folder / DRY_RUN, dry)
     return Best(behaviour.to_json(), dry)
-
-
-def _write_json(path: Path, value: dict[str, Any]) -> None:
-    """Write a file that is whole or not there."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
