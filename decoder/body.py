@@ -23,6 +23,7 @@ _PART_GENES = ("length", "along", "across", "bend", "hinge", "range", "taper")
 GENES = len(_BODY_GENES) + MAX_LIMBS * (len(_LIMB_GENES) + MAX_PARTS * len(_PART_GENES))
 BLOBS = 20
 BLOB_GENES = 4  # place along the bone, angle about it, radius, height above the core
+LONGEST = 13.6  # half length of a torso with its skin; its free-form surface adds up to one voxel at either end
 CAP = 3.0  # length of the rounded ends of a limb bone
 _UP = np.array([0.0, 0.0, 1.0])
 Vector = NDArray[np.float64]
@@ -138,15 +139,17 @@ def _part_counts(spare: int, slots: list[_Slot], limbs: list[dict[str, float]]) 
 
 def _torso(body: Genes, limbs: int, scale: float) -> Bone:
     bulk = scale * _between(body["bulk"], 0.88, 1.12)
+    thickness = _between(body["thickness"], 1.0, 3.0)
     half = bulk * np.array([
         _between(body["torso_y"], 6.8, 8.8) + 0.5 * max(0, limbs - 3),
         _between(body["torso_z"], 4.4, 6.2),
         _between(body["torso_x"], 9.5, 14.0) + 0.4 * max(0, limbs - 3),
     ])  # fmt: skip
+    half[2] = min(half[2], LONGEST - thickness)
     frame = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # u = y, v = z, w = x
     origin = np.zeros(3)
     return Bone(origin, origin, frame, half, _between(body["torso_exponent"], 2.3, 4.0), 1.0, np.zeros((0, 4)),
-                _between(body["thickness"], 1.0, 3.0))  # fmt: skip
+                thickness)  # fmt: skip
 
 
 def _limb(
@@ -175,7 +178,7 @@ def _limb(
             bend = math.radians(_between(part["bend"], 15.0, 90.0))
             direction = _bent(direction, axis, bend, math.radians(_between(body["stance"], 15.0, 88.0)))
             side = _horizontal_side(direction, side)
-        half = girth * np.array([_between(part["along"], 4.3, 5.7), _between(part["across"], 3.2, 4.6), CAP / girth])
+        half = girth * np.array([_between(part["along"], 3.8, 5.7), _between(part["across"], 3.2, 4.6), CAP / girth])
         length = length_scale * (_between(part["length"], 11.5, 16.5) - (1.5 if index == len(parts) - 1 else 0.0))
         frame = np.stack([axis, np.cross(direction, axis), direction], axis=1)
         bone = Bone(position + (CAP - overlap) * direction, position + (length + 0.6 - CAP) * direction, frame, half,
