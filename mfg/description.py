@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from mfg.blueprint import Blueprint, Transform
 from mfg.catalogue import Motor
@@ -14,6 +15,7 @@ from mfg.masses import body_masses
 from mfg.solids import surface
 
 HULL_VERTICES = 128  # at most, per link
+_ROUND = 32  # corners added at a time
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -130,9 +132,24 @@ def describe(blueprint: Blueprint) -> Description:
 
 
 def thinned(points: NDArray[np.float64], most: int = HULL_VERTICES) -> NDArray[np.float64]:
-    """The points extreme in `most` spread directions, the six of the axes among them, in a fixed order, (n, 3)."""
-    directions = np.concatenate([np.eye(3), -np.eye(3), _spread_directions(most - 6)])
-    return points[np.unique((points @ directions.T).argmax(0))]
+    """At most `most` corners of the convex hull of points (n, 3), in a fixed order, that leave out little.
+
+    The points extreme in spread directions come first, those of the axes among them; then, in a few rounds, whichever
+    corners stand out farthest from the hull of the chosen ones.
+    """
+    corners = points[np.sort(ConvexHull(points).vertices)]
+    directions = np.concatenate([np.eye(3), -np.eye(3), _spread_directions(max(most // 2 - 6, 1))])
+    chosen = np.unique((corners @ directions.T).argmax(0))
+    while len(chosen) < min(most, len(corners)):
+        hull = ConvexHull(corners[chosen])
+        outside = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+        farthest = outside.argmax(0)  # of each facet
+        rank = np.argsort(-outside[farthest, np.arange(len(farthest))], kind="stable")
+        fresh = [k for k in dict.fromkeys(farthest[rank].tolist()) if k not in set(chosen.tolist())]
+        if not fresh:
+            break
+        chosen = np.sort(np.concatenate([chosen, fresh[: min(_ROUND, most - len(chosen))]]).astype(np.int64))
+    return corners[chosen]
 
 
 def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:

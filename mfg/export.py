@@ -51,9 +51,9 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     """
     if outcome.failure is not None:
         raise ValueError(f"design {outcome.design.key} cannot be built: {outcome.failure}")
-    files = blueprint_files(outcome.blueprint)
     folder = Path(folder)
     _check_target(folder)
+    files = blueprint_files(outcome.blueprint)
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:

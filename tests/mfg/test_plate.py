@@ -55,7 +55,8 @@ def test_bodies_lie_on_plates_apart_from_each_other(seed: int, count: int) -> No
     for lay, points in zip(lays, bodies, strict=True):
         laid = points @ lay.T_plate_design[:3, :3].T + lay.T_plate_design[:3, 3]
         assert_allclose(laid[:, 2].min(), 0, atol=1e-9)
-        assert (laid.min(0) >= -1e-9).all() and (laid.max(0) <= np.array(PRINTER) + 1e-5).all()
+        assert (laid.min(0) >= -1e-9).all()
+        assert (laid.max(0) <= np.array(PRINTER) + 1e-5).all()
         boxes.append((lay.plate, laid.min(0)[:2], laid.max(0)[:2]))
     for (p, low, high), (q, other_low, other_high) in itertools.combinations(boxes, 2):
         apart = np.maximum(low - other_high, other_low - high).max()

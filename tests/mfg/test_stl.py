@@ -23,7 +23,8 @@ def ball() -> Solid:
 def test_a_written_ball_is_read_back_as_the_same_solid(ball: Solid) -> None:
     vertices, triangles = welded(ball)
     mesh = read(stl_bytes(vertices, triangles, "ball"))
-    assert mesh.is_watertight and mesh.is_winding_consistent
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
     assert_allclose(mesh.volume / 1e9, ball.volume, rtol=1e-6)
     assert {tuple(v) for v in np.asarray(mesh.vertices)} == {tuple(v) for v in vertices}
 
@@ -48,7 +49,8 @@ def test_corners_nearer_than_the_lattice_become_one() -> None:
         np.concatenate([cube.triangles[:6], cube.triangles[6:] + 8]),
     )
     vertices, triangles = welded(twin)
-    assert len(vertices) == 8 and not len(torn_edges(triangles))
+    assert len(vertices) == 8
+    assert not len(torn_edges(triangles))
 
 
 def test_a_hole_and_a_pinch_are_torn() -> None:
@@ -68,4 +70,5 @@ def test_the_same_mesh_gives_the_same_bytes(ball: Solid) -> None:
     vertices, triangles = welded(ball)
     data = stl_bytes(vertices, triangles, "a")
     assert data == stl_bytes(vertices.copy(), triangles.copy(), "a")
-    assert len(data) == 84 + 50 * len(triangles) and not data.startswith(b"solid")
+    assert len(data) == 84 + 50 * len(triangles)
+    assert not data.startswith(b"solid")

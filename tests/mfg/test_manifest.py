@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mfg.description import describe
+from mfg.export import blueprint_files
+from mfg.manifest import NAME, ManifestError, changed_files, read_description, read_manifest
+from mfg.pipeline import Outcome
+
+
+@pytest.fixture(scope="module")
+def content(built: Outcome) -> bytes:
+    return blueprint_files(built.blueprint)[NAME]
+
+
+@pytest.fixture
+def path(content: bytes, tmp_path: Path) -> Path:
+    (tmp_path / NAME).write_bytes(content)
+    return tmp_path / NAME
+
+
+def test_the_robot_is_read_back_to_the_last_bit(path: Path, built: Outcome) -> None:
+    ours, theirs = describe(built.blueprint), read_description(path.parent)
+    assert (theirs.name, theirs.source, theirs.imu_link) == (ours.name, ours.source, ours.imu_link)
+    assert theirs.standing_height == ours.standing_height
+    assert np.array_equal(theirs.T_link_imu, ours.T_link_imu)
+    for a, b in zip(ours.links, theirs.links, strict=True):
+        assert (a.name, a.parent, a.mass) == (b.name, b.parent, b.mass)
+        for name in ("T", "com", "inertia", "hull"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
+    for a, b in zip(ours.joints, theirs.joints, strict=True):
+        assert (a.name, a.link, a.motor) == (b.name, b.link, b.motor)
+        assert np.array_equal(a.axis, b.axis)
+        assert np.array_equal(a.range, b.range)
+
+
+def test_the_manifest_says_what_was_built(content: bytes, built: Outcome) -> None:
+    document, blueprint = json.loads(content), built.blueprint
+    assert document["design"] == blueprint.design.key
+    assert document["scores"]["total"] == pytest.approx(blueprint.scores.total)
+    assert [part["name"] for part in document["parts"]] == [part.name for part in blueprint.parts]
+    assert [joint["can_id"] for joint in document["joints"]] == [1, 2]
+    for part, stored in zip(blueprint.parts, document["parts"], strict=True):
+        assert stored["volume"] == part.solid.volume
+        assert_allclose(stored["bounds_mm"], part.solid.bounds * 1e3, atol=1e-4)
+    assert document["robot"]["mass"] == pytest.approx(sum(body["mass"] for body in document["bodies"]))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda d: d.update(format="other"), "not a blueprint manifest"),
+        (lambda d: d.update(version=99), "this program reads version 1"),
+        (lambda d: d.pop("robot"), "incomplete or malformed"),
+        (lambda d: d["robot"]["links"][1].update(parent=5), "earlier links"),
+        (lambda d: d["robot"]["links"][0].update(com=[0, 1]), "expected"),
+        (lambda d: d["robot"]["joints"][0]["motor"].pop("mass"), "incomplete or malformed"),
+        (lambda d: d["robot"].update(links=[]), "earlier links"),
+        (lambda d: d["robot"].update(imu_link=7), "does not exist"),
+    ],
+)
+def test_a_spoiled_manifest_is_refused_in_one_line(path: Path, edit, message: str) -> None:
+    document = json.loads(path.read_bytes())
+    edit(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(ManifestError, match=message) as caught:
+        read_description(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"\xff\xfe", b'{"format": NaN}'])
+def test_what_is_not_a_manifest_is_refused(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    with pytest.raises(ManifestError, match=str(path)):
+        read_manifest(path)
+
+
+def test_a_missing_manifest_is_an_operating_system_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_manifest(tmp_path / NAME)
+
+
+def test_missing_files_count_as_changed(path: Path) -> None:
+    assert len(changed_files(path.parent)) == len(json.loads(path.read_bytes())["files"])
