@@ -35,7 +35,7 @@ def test_a_painted_hinge_is_the_joint() -> None:
     np.testing.assert_allclose(joint.axis, (0, 0, 1), atol=1e-9)
     assert joint.confidence == 1.0
     assert (joint.parent, joint.child) == (1, 2)
-    middle = (np.array([20, 28, 28]) + [12.5, 4.5, 4.0]) * 0.01
+    middle = np.add([20, 28, 28], [12.5, 4.5, 4.0]) * 0.01
     np.testing.assert_allclose(joint.position, middle, atol=1e-9)
     assert (design.material == Material.RIGID).sum() == index.size  # The marker became bone.
 
