@@ -1,0 +1,59 @@
+"""The pipeline: the fast path's verdict and scores are those of the full path, and the same design gives the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from decoder.design import VoxelDesign
+from decoder.latent import make_decoder, sample_latents
+from mfg.outcome import Failure
+from mfg.pipeline import BUILDING, SCORING, build, score
+
+
+@pytest.fixture(scope="module")
+def designs() -> list[VoxelDesign]:
+    return make_decoder("genome").decode(sample_latents(8, np.random.default_rng(77)))
+
+
+def test_score_and_build_agree(designs: list[VoxelDesign]) -> None:
+    passed = 0
+    for design in designs:
+        fast, full = score(design), build(design)
+        assert fast.ok == full.ok, (fast.failure, full.failure)
+        if not fast.ok:
+            assert fast.failure == full.failure
+            continue
+        passed += 1
+        for quick, exact in zip(fast.scores.values(), full.scores.values(), strict=True):
+            assert quick is not None
+            assert exact is not None
+            assert 0.0 <= exact <= 1.0
+            assert quick == pytest.approx(exact, abs=0.05)
+    assert passed >= 3
+
+
+def test_scoring_twice_gives_the_same(designs: list[VoxelDesign]) -> None:
+    first, second = score(designs[1]), score(designs[1])
+    assert first.scores == second.scores
+    assert first.failure == second.failure
+
+
+def test_a_failed_design_keeps_what_it_scored(designs: list[VoxelDesign]) -> None:
+    for design in designs:
+        outcome = score(design)
+        ran = list(outcome.seconds)
+        assert len(ran) == len(SCORING) if outcome.ok else len(ran) <= len(SCORING)
+        document = outcome.to_json()
+        assert document["design"] == design.key
+        assert document["ok"] is outcome.ok
+        assert (document["failure"] is None) is outcome.ok
+        if isinstance(outcome.failure, Failure) and outcome.failure.stage == "electronics":
+            assert document["scores"]["motor"] is not None
+            assert document["scores"]["cable"] is None
+        assert document["scores"]["total"] == pytest.approx(outcome.scores.total)
+
+
+def test_building_is_scoring_and_then_solids() -> None:
+    assert BUILDING[: len(SCORING)] == SCORING
+    assert len(BUILDING) == len(SCORING) + 1
