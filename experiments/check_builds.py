@@ -160,7 +160,7 @@ def printed_objects(blueprint: Blueprint, folder: Path, solids: dict[str, Solid]
                 f"{name}: {part} {flaw}" for part, mesh in zip(parts, meshes, strict=True) for flaw in flaws(mesh)
             ]
             for part, mesh in zip(parts, meshes, strict=True):
-                if abs(mesh.volume / 1e9 / solids[part].volume - 1) > 1e-6:
+                if abs(mesh.volume / 1e9 / solids[part].volume - 1) > 1e-5:
                     problems.append(f"{name}: {part} has another volume than its STL file")
             laid = np.concatenate([np.asarray(mesh.vertices) for mesh in meshes]) @ pose[:3] + pose[3]
             size = np.ptp(laid, axis=0) / 1e3

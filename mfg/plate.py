@@ -14,6 +14,7 @@ from mfg.catalogue import Size
 
 SPACING = 0.008  # between objects on a plate [m]
 _FACETS = 24  # hull facets tried as the bottom, largest first
+_SLACK = 1e-6  # so that a body of exactly the printer's size does not depend on rounding [m]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,8 +42,9 @@ def fits_printer(points: NDArray[np.float64], volume: Size) -> bool:
 def print_rotation(points: NDArray[np.float64], volume: Size) -> NDArray[np.float64] | None:
     """The rotation (3, 3) that lays points (n, 3) as low as possible within the printer's volume; None if none fits.
 
-    Bottoms tried: the six of the design's axes and the largest facets of the convex hull; the yaw is that of the
-    smallest rectangle around the footprint, so a body is turned as a box that just holds it.
+    Bottoms tried: the six of the design's axes, the six of the principal axes, and the largest facets of the convex
+    hull; each with every yaw that lays an edge of the footprint's outline along x. Of the yaws that fit, the one with
+    the smallest rectangle is taken: that body stands on the plate as a box that just holds it.
     """
     try:
         hull = ConvexHull(points)
@@ -50,16 +52,15 @@ def print_rotation(points: NDArray[np.float64], volume: Size) -> NDArray[np.floa
         return None
     corners = points[hull.vertices]
     best: tuple[float, NDArray[np.float64]] | None = None
-    for down in _bottoms(hull):
+    for down in _bottoms(hull, corners):
         turned = _facing_down(down)
-        footprint = corners @ turned.T
-        yaw = _yaw(footprint[:, :2])
-        for quarter in (np.eye(3), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])):
-            rotation = quarter @ yaw @ turned
-            size = np.ptp(corners @ rotation.T, axis=0)
-            # A micrometre of slack, so that a body of exactly the printer's height does not depend on rounding.
-            if (size <= np.asarray(volume) + 1e-6).all() and (best is None or size[2] < best[0] - 1e-6):
-                best = (float(size[2]), rotation)
+        laid = corners @ turned.T
+        height = float(np.ptp(laid[:, 2]))
+        if height > volume[2] + _SLACK or (best is not None and height > best[0] - _SLACK):
+            continue
+        yaw = _yaw(laid[:, :2], volume)
+        if yaw is not None:
+            best = (height, yaw @ turned)
     return None if best is None else best[1]
 
 
@@ -92,11 +93,14 @@ def arrange(bodies: Sequence[NDArray[np.float64]], volume: Size) -> list[Lay]:
     return [lays[i] for i in range(len(bodies))]
 
 
-def _bottoms(hull: ConvexHull) -> list[NDArray[np.float64]]:
+def _bottoms(hull: ConvexHull, corners: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Outward normals that may face the plate, the design's own bottom first."""
     axes = [-np.eye(3)[2], np.eye(3)[2], -np.eye(3)[0], np.eye(3)[0], -np.eye(3)[1], np.eye(3)[1]]
-    corners = hull.points[hull.simplices]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    centred = corners - corners.mean(axis=0)
+    _, principal = np.linalg.eigh(centred.T @ centred)
+    axes += [sign * column for column in principal.T for sign in (1.0, -1.0)]
+    facets = hull.points[hull.simplices]
+    area = np.linalg.norm(np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]), axis=1)
     normals = hull.equations[:, :3]
     # Coplanar triangles of one flat facet count together.
     _, first, index = np.unique(np.round(normals, 4), axis=0, return_index=True, return_inverse=True)
@@ -114,14 +118,17 @@ def _facing_down(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([x, np.cross(z, x), z])
 
 
-def _yaw(footprint: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation about z under which the rectangle around points (n, 2) is smallest; 0 where nothing beats it."""
+def _yaw(footprint: NDArray[np.float64], volume: Size) -> NDArray[np.float64] | None:
+    """The rotation about z with the smallest rectangle around points (n, 2) that fits the plate; none if 0 is as good."""
     outline = footprint[ConvexHull(footprint).vertices]
     edges = np.roll(outline, -1, axis=0) - outline
-    angles = np.concatenate([[0.0], np.unique(np.round(-np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 9))])
+    along = np.unique(np.round(-np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 9))
+    angles = np.concatenate([[0.0, np.pi / 2], along, along + np.pi / 2])
     c, s = np.cos(angles), np.sin(angles)
     width = np.ptp(outline[:, 0] * c[:, None] - outline[:, 1] * s[:, None], axis=1)
     length = np.ptp(outline[:, 0] * s[:, None] + outline[:, 1] * c[:, None], axis=1)
-    area = width * length
-    best = int(np.argmin(np.round(area, 12))) if area.min() < area[0] * (1 - 1e-6) else 0
+    area = np.where((width <= volume[0] + _SLACK) & (length <= volume[1] + _SLACK), width * length, np.inf)
+    if not np.isfinite(area).any():
+        return None
+    best = 0 if area[0] <= area.min() * (1 + 1e-6) else int(np.argmin(np.round(area, 12)))
     return np.array([[c[best], -s[best], 0.0], [s[best], c[best], 0.0], [0.0, 0.0, 1.0]])

@@ -55,8 +55,8 @@ def pair() -> Blueprint:
     axis, centre = np.array([0.0, 1.0, 0.0]), np.array([0.3, 0.3, 0.3])
 
     def half(side: float) -> Field:
-        middle = centre + [side * 0.061, 0, 0]
-        low, high = middle - [0.06, 0.07, 0.05], middle + [0.06, 0.07, 0.05]
+        middle, reach = centre + np.array([side * 0.061, 0, 0]), np.array([0.06, 0.07, 0.05])
+        low, high = middle - reach, middle + reach
 
         def depth(p: NDArray[np.float64]) -> NDArray[np.float64]:
             block = np.minimum(p - low, high - p).min(-1)
@@ -296,7 +296,7 @@ def test_hardware_in_hardware_is_a_conflict(pair: Blueprint) -> None:
     assert found is not None
     assert "joint_1" in found.detail
     assert "battery" in found.detail
-    wire = WireRun("wire_1", 0, np.array([centre - [0.1, 0, 0], centre + [0.1, 0, 0]]), 0.0035)
+    wire = WireRun("wire_1", 0, centre + np.array([[-0.1, 0, 0], [0.1, 0, 0]]), 0.0035)
     through = replace(pair, wires=(wire,))
     found = conflict(through, [tunnel(wire)], TOUCH)
     assert found is not None
