@@ -44,12 +44,14 @@ class Search(Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         generations: how many.
         popsize: candidates of each.
-        sigma: first standard deviation; 1 makes generation 0 a sample of the prior.
+        start: "best" samples the prior once and goes on from the best; "origin" narrows down from the whole prior.
+        sigma: first standard deviation of the search, 1 for "origin".
     """
 
     generations: Annotated[int, Meta(ge=1, le=1_000_000)] = 40
     popsize: Annotated[int, Meta(ge=4, le=100_000)] = 22
-    sigma: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
+    start: Literal["best", "origin"] = "best"
+    sigma: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.35
 
 
 class Fitness(Struct, frozen=True, forbid_unknown_fields=True):
@@ -75,10 +77,10 @@ class Fitness(Struct, frozen=True, forbid_unknown_fields=True):
 class Gait(Struct, frozen=True, forbid_unknown_fields=True):
     """What the search for a gait may spend, see `sim.gaits.GaitBudget`."""
 
-    random: Annotated[int, Meta(ge=2, le=10_000)] = 24
+    random: Annotated[int, Meta(ge=2, le=10_000)] = 12
     random_seconds: Seconds = 3.0
-    generations: Annotated[int, Meta(ge=0, le=10_000)] = 6
-    population: Annotated[int, Meta(ge=4, le=10_000)] = 14
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 13
+    population: Annotated[int, Meta(ge=4, le=10_000)] = 8
     seconds: Seconds = 4.0
     finalists: Annotated[int, Meta(ge=1, le=1000)] = 3
     final_seconds: Seconds = 10.0
@@ -94,9 +96,9 @@ class Gait(Struct, frozen=True, forbid_unknown_fields=True):
 class ThoroughGait(Gait, frozen=True, forbid_unknown_fields=True):
     """The same for a body that will be built: keys that are left out have larger values."""
 
-    random: Annotated[int, Meta(ge=2, le=10_000)] = 32
-    generations: Annotated[int, Meta(ge=0, le=10_000)] = 14
-    population: Annotated[int, Meta(ge=4, le=10_000)] = 16
+    random: Annotated[int, Meta(ge=2, le=10_000)] = 16
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 20
+    population: Annotated[int, Meta(ge=4, le=10_000)] = 12
     seconds: Seconds = 6.0
 
 

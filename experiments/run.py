@@ -108,7 +108,7 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
 
     rule, search = config.fitness.rule(), config.search
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(OPTIMISER,)))
-    optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma)
+    optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma, start=search.start)
     evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget())
     total = search.generations * search.popsize - record.count()
     if total:

@@ -17,8 +17,9 @@ def sphere_order(latents: NDArray[np.float32], target: float = 2.0) -> list[int]
     return [int(i) for i in np.argsort(np.square(latents - target).sum(1), kind="stable")]
 
 
-def test_generation_0_is_the_prior() -> None:
-    latents = strategy(dim=512, popsize=400).ask()
+@pytest.mark.parametrize("options", [{"start": "origin"}, {"start": "best", "sigma": 0.3}])
+def test_generation_0_is_the_prior(options: dict[str, object]) -> None:
+    latents = strategy(dim=512, popsize=400, **options).ask()
     assert latents.shape == (400, 512)
     assert latents.dtype == np.float32
     # 204 800 draws: five standard errors of the mean, the deviation and the fourth moment (3 for a normal law).
@@ -27,17 +28,29 @@ def test_generation_0_is_the_prior() -> None:
     assert abs((latents.astype(float) ** 4).mean() - 3) < 5 * np.sqrt(96 / latents.size)
 
 
-def test_it_finds_an_optimum_from_orders_alone() -> None:
-    es = strategy(dim=20, popsize=10)
+def test_the_best_of_generation_0_is_where_the_search_starts() -> None:
+    es = strategy(dim=512, popsize=40, start="best", sigma=0.25)
+    scouts = es.ask()
+    es.tell([17, *(i for i in range(40) if i != 17)])
+    assert (es.mean.astype(np.float32) == scouts[17]).all()
+    assert es.sigma == 0.25
+    steps = es.ask() - scouts[17]
+    assert abs(steps.std() / 0.25 - 1) < 5 / np.sqrt(2 * steps.size)
+
+
+@pytest.mark.parametrize("start", ["origin", "best"])
+def test_it_finds_an_optimum_from_orders_alone(start: str) -> None:
+    es = strategy(dim=20, popsize=10, start=start)
     for _ in range(150):
         es.tell(sphere_order(es.ask()))
     assert np.abs(es.mean - 2.0).max() < 0.05
     assert es.sigma < 0.1
 
 
+@pytest.mark.parametrize("start", ["origin", "best"])
 @pytest.mark.parametrize("dim", [6, 512])
-def test_the_state_follows_from_seed_and_orders(dim: int) -> None:
-    first, second = strategy(dim=dim), strategy(dim=dim)
+def test_the_state_follows_from_seed_and_orders(dim: int, start: str) -> None:
+    first, second = strategy(dim=dim, start=start), strategy(dim=dim, start=start)
     assert first.state_digest() == second.state_digest()
     digests = [first.state_digest()]
     for _ in range(6):
@@ -107,8 +120,7 @@ def test_an_order_that_is_no_permutation_is_refused_and_changes_nothing(order: l
         ({"popsize": 3}, "popsize is 3"),
         ({"sigma": 0.0}, "sigma is 0.0"),
         ({"sigma": float("nan")}, "sigma is nan"),
-        ({"mean": np.zeros(5)}, r"\(5,\)"),
-        ({"mean": np.full(6, np.inf)}, "finite"),
+        ({"start": "middle"}, "start is 'middle'"),
     ],
 )
 def test_arguments_are_checked(options: dict[str, object], match: str) -> None:
