@@ -119,7 +119,7 @@ def _facing_down(normal: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _yaw(footprint: NDArray[np.float64], volume: Size) -> NDArray[np.float64] | None:
-    """The rotation about z with the smallest rectangle around points (n, 2) that fits the plate; none if 0 is as good."""
+    """The rotation about z with the smallest rectangle around points (n, 2) that fits the plate; 0 if as good."""
     outline = footprint[ConvexHull(footprint).vertices]
     edges = np.roll(outline, -1, axis=0) - outline
     along = np.unique(np.round(-np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 9))
