@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,7 +257,11 @@ def _with_blobs(bones: list[Bone], genes: NDArray[np.float64], slots: list[_Slot
     return dressed
 
 
-def _between(gene: float, low: float, high: float) -> float:
+@overload
+def _between(gene: float, low: float, high: float) -> float: ...
+@overload
+def _between(gene: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]: ...
+def _between(gene: float | NDArray[np.float64], low: float, high: float) -> float | NDArray[np.float64]:
     return low + (high - low) * gene
 
 

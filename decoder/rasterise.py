@@ -115,7 +115,7 @@ def spline_basis(count: int) -> NDArray[np.float64]:
     return basis
 
 
-def noise(coefficients: NDArray[np.float64], window: tuple[slice, slice, slice]) -> Floats:
+def noise(coefficients: NDArray[np.float64], window: tuple[slice, ...]) -> Floats:
     """Smooth random field on a window of the grid from spline coefficients (kx, ky, kz): variance 1 if theirs is."""
     field = coefficients
     for axis in (2, 1, 0):
@@ -160,7 +160,7 @@ def rasterise(
             continue
         x, y, z = (np.arange(a, b, dtype=np.float32) + np.float32(0.5) for a, b in cells[index].T)
         region = tuple(slice(int(a), int(b)) for a, b in (cells[index] - low).T)
-        distances[(index, *region)] = bone.distance(x[:, None, None], y[None, :, None], z[None, None, :], blend)
+        distances[index][region] = bone.distance(x[:, None, None], y[None, :, None], z[None, None, :], blend)
     owner = distances.argmin(axis=0)
     nearest = distances.min(axis=0)
     melted, cleft = nearest.copy(), np.zeros(nearest.shape, bool)
@@ -171,7 +171,7 @@ def rasterise(
             if (stop <= start).any():
                 continue
             region = tuple(slice(int(a), int(b)) for a, b in zip(start, stop, strict=True))
-            a, b = distances[(i, *region)], distances[(j, *region)]
+            a, b = distances[i][region], distances[j][region]
             if (i, j) in linked:
                 melted[region] = np.minimum(melted[region], smooth_min(a, b, blend))
             else:

@@ -118,7 +118,8 @@ def render(
     camera = _Camera.fitted(shown, azimuth, elevation, (width, height), perspective)
     origin, ray = camera.rays((width * samples, height * samples))
     stage = _Stage(shapes, camera, level, shown, background)
-    what, colour = stage.opaque(origin, ray, (height * samples, width * samples), samples, shadows, 0 if draft else RAYS)
+    fine = (height * samples, width * samples)
+    what, colour = stage.opaque(origin, ray, fine, samples, shadows, 0 if draft else RAYS)
     stage.cover(origin, ray, what, colour)
     grid = colour.reshape(height, samples, width, samples, 3).mean(axis=(1, 3))
     return np.rint(255.0 * np.clip(grid, 0.0, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
@@ -202,7 +203,8 @@ class _Soup:
     def hit(self, origin: F32, ray: F32) -> tuple[NDArray[np.int32], F32, F32]:
         """What each ray meets first: index of the triangle or -1, how far along the ray, normal there (k, 3)."""
         if not self.shapes or not len(ray):
-            return np.full(len(ray), -1, np.int32), np.full(len(ray), np.inf, np.float32), np.zeros((len(ray), 3), np.float32)
+            far = np.full(len(ray), np.inf, np.float32)
+            return np.full(len(ray), -1, np.int32), far, np.zeros((len(ray), 3), np.float32)
         answer = self.scene.run(np.ascontiguousarray(origin), np.ascontiguousarray(ray), output=1)
         triangle = answer["primID"]
         met = triangle >= 0
@@ -225,8 +227,9 @@ class _Stage:
     """Shapes, lights and floor of one picture."""
 
     def __init__(
-        self, shapes: Sequence[Shape], camera: _Camera, level: float | None, shown: NDArray[np.float64], background: Colour
-    ) -> None:
+        self, shapes: Sequence[Shape], camera: _Camera, level: float | None, shown: NDArray[np.float64],
+        background: Colour,
+    ) -> None:  # fmt: skip
         solid = [k for k, s in enumerate(shapes) if s.alpha >= 1]
         clear = [k for k, s in enumerate(shapes) if s.alpha < 1]
         self.solid = _Soup([shapes[k] for k in solid], solid)
@@ -246,7 +249,8 @@ class _Stage:
     ) -> tuple[F32, F32]:
         """Depth of what each sample meets [m], (k,), and its light, (k, 3): opaque shapes, floor and background."""
         triangle, far, normal = self.solid.hit(origin, ray)
-        what = np.where(triangle >= 0, self.solid.owner[triangle] if len(self.solid.owner) else NOTHING, NOTHING).astype(np.int32)
+        owner = self.solid.owner[triangle] if len(self.solid.owner) else NOTHING
+        what = np.where(triangle >= 0, owner, NOTHING).astype(np.int32)
         if self.level is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 down = (np.float32(self.level) - origin[:, 2]) / ray[:, 2]
@@ -332,7 +336,8 @@ class _Stage:
         ambient = (0.80 + 0.20 * normal[:, 2]) * sky
         half = _unit(self.key - ray)
         shine = np.maximum(np.einsum("ij,ij->i", normal, half), 0) ** 40 * sun
-        light = (KEY * key + FILL * fill)[:, None] * np.float32([1.03, 1.0, 0.95]) + (AMBIENT * ambient)[:, None] * np.float32([0.96, 1.0, 1.06])
+        warm, cold = np.array([1.03, 1.0, 0.95], np.float32), np.array([0.96, 1.0, 1.06], np.float32)
+        light = (KEY * key + FILL * fill)[:, None] * warm + (AMBIENT * ambient)[:, None] * cold
         rim = 0.72 + 0.28 * np.sqrt(view)  # a pale body stays readable on white
         return (albedo * light * rim[:, None] + (SHINE * shine)[:, None]).astype(np.float32)
 
@@ -372,7 +377,8 @@ def _pattern(rays: int) -> F32:
     k = np.arange(16 * rays).reshape(rays, 16).T + 0.5  # the sets interleave, so that a tile covers the sky evenly
     radius, angle = np.sqrt(k / (16 * rays)), k * (np.pi * (3 - np.sqrt(5)))
     turned = angle + (np.arange(16) * 7 % 16)[:, None] * (2 * np.pi / 16)
-    return np.stack([radius * np.cos(turned), radius * np.sin(turned), np.sqrt(1 - radius**2)], axis=-1).astype(np.float32)
+    directions = [radius * np.cos(turned), radius * np.sin(turned), np.sqrt(1 - radius**2)]
+    return np.stack(directions, axis=-1).astype(np.float32)
 
 
 def _smoothed(pair: F32, what: NDArray[np.int32], samples: int) -> F32:
@@ -388,7 +394,7 @@ def _smoothed(pair: F32, what: NDArray[np.int32], samples: int) -> F32:
         mine = (base[box] == name).astype(np.float32)
         weight = ndimage.uniform_filter(mine, 5, mode="constant")
         for k in range(2):
-            mean = ndimage.uniform_filter(pair[(*box, k)] * mine, 5, mode="constant")
+            mean = ndimage.uniform_filter(pair[..., k][box] * mine, 5, mode="constant")
             mean = np.where(weight > 1e-3, mean / np.maximum(weight, np.float32(1e-3)), np.float32(1))
             large = mean.repeat(samples, 0).repeat(samples, 1)
             here = what[fine] == name
