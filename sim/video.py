@@ -16,13 +16,13 @@ from sim.rollout import CONTROL_PERIOD, Rollouts
 Image = NDArray[np.uint8]
 
 SIZE = (320, 240)  # of a frame [pixels]; the encoder wants multiples of 16
-RATE = 20  # frames per second of a video
+RATE = 15  # frames per second of a video
 FLOOR = 0.0  # height of the ground [m]
 FOLLOW = 0.5  # the camera follows the centre of mass averaged over this long [s]
 # Links without a colour of their own take these in turn: the root is grey, neighbours differ.
 PALETTE = ((0.62, 0.65, 0.69), (0.24, 0.49, 0.69), (0.90, 0.62, 0.24), (0.42, 0.66, 0.42), (0.72, 0.42, 0.52),
            (0.36, 0.64, 0.66), (0.83, 0.74, 0.42), (0.52, 0.47, 0.72))  # fmt: skip
-TRAIL = (0.85, 0.25, 0.20)  # where the centre of mass has been
+TRAIL = (0.85, 0.25, 0.20)  # where the camera has followed the centre of mass
 TRAIL_WIDTH = 0.008  # [m]
 MUJOCO_GREY = (0.5, 0.5, 0.5, 1.0)  # a geom without a colour
 
@@ -85,7 +85,7 @@ def _draw(
         x, y = centre[moment]
         bounds = np.array([[x - reach, y - reach, FLOOR], [x + reach, y + reach, height + 0.5 * reach]])
         moved = [shape.moved(pose[geom]) for geom, shape in shapes]
-        moved += _trail(rollouts.com[index, : moment + 1, :2])
+        moved += _trail(centre[: moment + 1])
         yield render(moved, size, floor=FLOOR, bounds=bounds, draft=draft)
 
 
