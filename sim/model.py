@@ -71,6 +71,7 @@ def make_spec(description: Description, *, timestep: float = TIMESTEP) -> mujoco
     """The specification behind `compile_model`, which can still be edited."""
     if not description.joints:
         raise ValueError(f"robot {description.name} has no joint to drive; it needs at least one")
+    _log_nothing()
     spec = mujoco.MjSpec()
     spec.modelname = description.name
     spec.compiler.degree = False
@@ -121,6 +122,7 @@ def load_spec(path: Path | str, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
     """Read an MJCF file as a specification that can still be edited; see `load_model`."""
     path = Path(path)
     path.open("rb").close()  # a missing file is an OSError, not a parser's complaint
+    _log_nothing()
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
@@ -267,6 +269,13 @@ def _set_world(spec: mujoco.MjSpec, timestep: float) -> None:
 def _samples(delay: float, timestep: float) -> int:
     """How many commands are on their way during a delay."""
     return math.ceil(delay / timestep - 1e-9)
+
+
+def _log_nothing() -> None:
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT into the user's folder: an explosion is a result, read from the data."""
+    config = mujoco.MjLogConfig.get()
+    config.logto_file = config.logto_console = False
+    config.set()
 
 
 def _first_line(error: BaseException) -> str:
