@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,12 @@ def latents(records: pd.DataFrame) -> NDArray[np.float32]:
     if len(lengths) > 1:
         raise ValueError(f"latents of different lengths in one file: {sorted(lengths)}")
     return np.stack(vectors) if vectors else np.zeros((0, 0), np.float32)
+
+
+def by_reason(failed: pd.DataFrame) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
+    """Failures grouped by (stage, reason), in alphabetical order."""
+    for (stage, reason), group in failed.groupby([failed["stage"], failed["reason"].fillna("")], sort=True):
+        yield (str(stage), str(reason)), group
 
 
 def write_csv(records: pd.DataFrame, path: Path) -> None:
