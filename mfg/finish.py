@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import ndimage
 
 from mfg.blueprint import Blueprint, MotorSeat, PrintedPart
 from mfg.exact import (
@@ -38,6 +39,7 @@ from mfg.solids import Solid, ball_chain, from_field, union
 from mfg.stl import MM_PER_M, torn_edges, welded
 
 PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
+EDGE_BLUR = 1.5  # width of the blur that straightens the rim of a skin [samples]
 _REPAIRS = 4  # attempts
 
 
@@ -233,4 +235,7 @@ def _mount(seat: MotorSeat, index: int, mount: Mount) -> Solid:
 def soft_region(skin: Field, bone: Field, thinnest: float) -> Field:
     """Where the outer surface stands at least `thinnest` above the bone, bone included: no slivers on bare bone [m]."""
     above = skin.values - bone.on_lattice_of(skin) - np.float32(thinnest)
-    return skin.with_values(np.minimum(skin.values, above))
+    # Two surfaces that part slowly meet in a ragged line; blurred, the line is one that a printer can follow.
+    reach = 2 * skin.spacing
+    edge = ndimage.gaussian_filter(np.clip(above, -reach, reach), EDGE_BLUR, mode="nearest")
+    return skin.with_values(np.minimum(skin.values, edge))
