@@ -62,7 +62,8 @@ def test_the_carved_pair_turns_freely(elbow: VoxelDesign) -> None:
     for angle in np.linspace(*hinge.range, 9):
         assert P.overlap(C.moved(turned(hinge, angle))) < 1e-8
     after = [b.bone.volume() for b in solved.bodies]
-    assert after[hinge.body] == before[hinge.body]
+    # The bone that does not give way only loses sharp edges.
+    assert 0.99 * before[hinge.body] < after[hinge.body] <= before[hinge.body]
     assert after[hinge.parent] <= before[hinge.parent]
 
 
