@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 BLUEPRINT, BUNDLE, VIDEO, STRIP, DRY_RUN = "blueprint", "bundle", "walk.mp4", "walk.png", "dry_run.json"
 EPISODE = 10.0  # of walking, measured and on the bus [s]
-FILM = 6.0  # of walking, on video [s]
 PICTURE = (1200, 900)  # [pixel]
 
 
@@ -31,7 +30,7 @@ class Best:
     dry_run: dict[str, Any]
 
 
-def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str) -> Best:
+def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str, film: float) -> Best:
     """Write the blueprint of a design that was built, the policy bundle that drives it, its strip, video and dry run.
 
     Args:
@@ -39,6 +38,7 @@ def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str) -> 
         outcome: of `mfg.pipeline.build`, a success.
         gait: for the hinges of its description.
         config_hash: of the configuration that found it.
+        film: length of the video [s], 0 for none.
 
     Raises:
         OSError: if something cannot be written.
@@ -66,7 +66,8 @@ def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str) -> 
     if behaviour is None:
         raise RuntimeError(f"the exported model {robot / 'robot.xml'} explodes under a gait that its twin walks with")
     save_strip(folder / STRIP, model, rollouts)
-    save_video(folder / VIDEO, model, roll_out(model, [gait], FILM))
+    if film > 0:
+        save_video(folder / VIDEO, model, roll_out(model, [gait], film))
     dry = dry_run(folder / BUNDLE, EPISODE)
     write_json(folder / DRY_RUN, dry)
     return Best(behaviour.to_json(), dry)

@@ -23,11 +23,14 @@ if TYPE_CHECKING:
 
 Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
 Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
+Film = Annotated[float, Meta(ge=0.0, le=100.0)]
 Workers = Annotated[int, Meta(ge=0, le=1024)]
 Solver = Literal["paper"]
 DecoderName = Literal["genome"]
 CatalogueName = Literal["paper"]
 Prior = Literal["normal", "uniform"]
+
+NO_RESULT = ("workers", "film")  # keys that change no number of a run
 
 # Words of the design that this version does not know yet.
 LATER = {
@@ -124,6 +127,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
         solver: how manufacturing constraints are solved.
         catalogue: which components.
         workers: processes; none given means one per core. It changes no result.
+        film: length of the winner's film [s], 0 for none. It changes no result.
         timeout: how long one evaluation may take before it is stopped [s].
         search: the optimiser.
         fitness: the rule.
@@ -137,6 +141,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     solver: Solver = "paper"
     catalogue: CatalogueName = "paper"
     workers: Workers | None = None
+    film: Film = 6.0
     timeout: Annotated[float, Meta(ge=1.0, le=1e6)] = 300.0
     search: Search = Search()
     fitness: Fitness = Fitness()
@@ -177,6 +182,7 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
         seed: of the search for a gait.
         solver: how manufacturing constraints are solved.
         catalogue: which components.
+        film: length of the film [s], 0 for none. It changes no result.
         gait: budget of the search.
     """
 
@@ -185,6 +191,7 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
     seed: Seed = 0
     solver: Solver = "paper"
     catalogue: CatalogueName = "paper"
+    film: Film = 6.0
     gait: ThoroughGait = ThoroughGait()
 
 
@@ -239,14 +246,14 @@ def to_toml(config: Config) -> str:
 
 def config_hash(config: Config) -> str:
     """16 hex digits over everything that can change a result."""
-    lines = [f"{key} = {_toml_value(value)}" for key, value in _flat(config) if key != "workers"]
+    lines = [f"{key} = {_toml_value(value)}" for key, value in _flat(config) if key not in NO_RESULT]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
 def differences(then: Config, now: Config) -> list[str]:
-    """What two configurations disagree on, but for `workers`, which changes no result."""
+    """What two configurations disagree on, as far as it can change a result."""
     before, after = dict(_flat(then)), dict(_flat(now))
-    keys = [key for key in {**before, **after} if key != "workers" and before.get(key) != after.get(key)]
+    keys = [key for key in {**before, **after} if key not in NO_RESULT and before.get(key) != after.get(key)]
     return [f"{key} was {_shown(before.get(key))} and is now {_shown(after.get(key))}" for key in keys]
 
 

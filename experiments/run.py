@@ -147,7 +147,7 @@ def _conclude(config: Evolve, record: Record, folder: Path, seconds: float) -> d
     if champion is not None and champion.walk is not None:
         say("writing the winner's blueprint, policy, video and dry run")
         outcome = build(decode(config.decoder, champion.candidate))
-        best = write_best(folder / BEST, outcome, champion.walk.gait, config_hash(config))
+        best = write_best(folder / BEST, outcome, champion.walk.gait, config_hash(config), config.film)
         result["winner"] = _described(champion, best.behaviour, best.dry_run)
     result["seconds"] = seconds
     write_json(folder / RESULT, result)
@@ -184,7 +184,7 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
             rng = np.random.default_rng(np.random.SeedSequence(config.seed))
             found = search_gait(describe(outcome.blueprint), rng, config.gait.budget())
             say("writing blueprint, policy, video and dry run")
-            best = write_best(folder / BEST, outcome, found.gait, config_hash(config))
+            best = write_best(folder / BEST, outcome, found.gait, config_hash(config), config.film)
             result["winner"] = {"design": design.key, **best.behaviour, "dry_run": best.dry_run}
         else:
             say(f"bodyplan: {config.design} cannot be built: {outcome.failure}")
