@@ -94,9 +94,11 @@ def failure_lda(
         raise ValueError(f"{len(latents)} latents and {len(outcomes)} outcomes: give one outcome for each latent")
     counts = {stage: sum(outcome == stage for outcome in outcomes) for stage in ORDER}
     classes = tuple(stage for stage in ORDER if counts[stage] >= LEAST and stage != Stage.WORKER)
+    if len(classes) < 2:  # one class alone is told apart from nothing.
+        classes = ()
     left_out = {stage: count for stage, count in counts.items() if count and stage not in classes}
-    if len(classes) < 2:
-        return FailureLda(classes, tuple(counts[c] for c in classes), left_out, *_nothing())
+    if not classes:
+        return FailureLda((), (), left_out, *_nothing())
     index = {name: k for k, name in enumerate(classes)}
     used = [row for row, outcome in enumerate(outcomes) if outcome != PASSED and outcome in index]
     labels = np.array([index[outcomes[row]] for row in used], np.intp)

@@ -20,19 +20,21 @@ p { margin: 0 0 .85rem; max-width: 44rem; }
 .lead { font-size: 1.06rem; color: var(--quiet); margin-bottom: 1.4rem; }
 .note { background: #fdf6e3; border-left: 3px solid #e0a526; padding: .6rem .9rem; }
 .quiet { color: var(--quiet); }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.4rem, 1fr)); gap: .8rem; margin: 1.5rem 0; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(7.4rem, 1fr)); gap: .8rem; margin: 1.5rem 0; }
 .tile { background: var(--tint); padding: .8rem .95rem .7rem; border-radius: 3px; }
 .tile b { display: block; font-size: 1.55rem; line-height: 1.15; font-weight: 620; font-variant-numeric: tabular-nums; }
 .tile b small { font-size: .92rem; font-weight: 450; color: var(--quiet); }
 .tile span { display: block; font-size: .84rem; line-height: 1.35; color: var(--quiet); margin-top: .3rem; }
 figure { margin: 1.3rem 0 1.6rem; }
 figure img, figure video { display: block; max-width: 100%; height: auto; border-radius: 3px; }
+figure video { width: 34rem; }
 figcaption { font-size: .88rem; line-height: 1.45; color: var(--quiet); margin-top: .5rem; max-width: 44rem; }
 .scroll { overflow-x: auto; margin: .9rem 0 1.3rem; }
 table { border-collapse: collapse; width: 100%; font-size: .91rem; line-height: 1.4; }
 th { text-align: left; font-weight: 600; color: var(--quiet); border-bottom: 1.5px solid var(--ink); }
 th, td { padding: .36rem 1.1rem .36rem 0; vertical-align: top; }
 td { border-bottom: 1px solid var(--rule); }
+table.facts { max-width: 36rem; border-top: 1px solid var(--rule); }
 th:last-child, td:last-child { padding-right: 0; }
 .number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 tr.total td { font-weight: 620; border-bottom: 1.5px solid var(--ink); border-top: 1px solid var(--ink); }
@@ -114,7 +116,7 @@ def table(
     """A table of HTML cells.
 
     Args:
-        header: column names, plain text.
+        header: column names, plain text; none for a list of facts.
         rows: cells, HTML.
         numbers: indices of columns that hold numbers.
         total: the last row sums up the others.
@@ -127,11 +129,12 @@ def table(
             for k, text in enumerate(texts)
         )
 
-    lines = [f"<tr>{cells('th', [escape(name) for name in header])}</tr>"]
+    lines = [f"<tr>{cells('th', [escape(name) for name in header])}</tr>"] if header else []
+    kind = "" if header else ' class="facts"'
     for k, row in enumerate(rows):
         opening = '<tr class="total">' if total and k == len(rows) - 1 else "<tr>"
         lines.append(f"{opening}{cells('td', row)}</tr>")
-    return '<div class="scroll"><table>\n' + "\n".join(lines) + "\n</table></div>"
+    return f'<div class="scroll"><table{kind}>\n' + "\n".join(lines) + "\n</table></div>"
 
 
 def picture(png: bytes | None, caption: str, width: int | None = None) -> str:

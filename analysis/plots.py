@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from analysis.lda import FailureLda
@@ -73,6 +74,7 @@ def score_histogram(passed: Sequence[float], failed: Sequence[float], winner: fl
         axes.set_xlim(0, 5)
         axes.set_xlabel(r"manufacturability score $S_\mathrm{mfg}$, 5 is best")
         axes.set_ylabel("designs")
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         figure.legend(loc="outside upper right", ncols=3)
         return _png(figure)
 
@@ -121,7 +123,7 @@ def fitness_curve(
         lower.set_ylabel("can be\nbuilt [%]")
         lower.set_xlabel("generation")
         lower.set_xlim(-0.6, last + 0.6)
-        lower.xaxis.get_major_locator().set_params(integer=True)
+        lower.xaxis.set_major_locator(MaxNLocator(integer=True))
         return _png(figure)
 
 

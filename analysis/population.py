@@ -12,6 +12,7 @@ from analysis.lda import FailureLda, failure_lda
 from analysis.passthrough import PAPER_REMAINING, PASSED, PassThrough, pass_through
 from analysis.records import by_reason, latents
 from analysis.words import REASONS, STAGES
+from mfg.outcome import Stage
 
 ANALYSIS = 3  # purpose of the randomness of the analysis; 0 to 2 are evolution's
 
@@ -51,6 +52,7 @@ def pass_through_table(counts: PassThrough) -> str:
         (row.stage, str(row.reached), str(row.failed), _percent(row.remaining),
          _percent(PAPER_REMAINING.get(row.stage)), escape(STAGES[row.stage]))
         for row in counts.rows()
+        if row.stage != Stage.WORKER or row.failed
     ]  # fmt: skip
     rows.append(("all stages", str(counts.n), str(counts.n - counts.passed), _percent(counts.rate),
                  _percent(PAPER_REMAINING[PASSED]), "The design can be built."))  # fmt: skip
@@ -147,8 +149,8 @@ def _map(run: RunFolder, lda: FailureLda) -> list[str]:
     if run.kind == "evolve":
         text += " Bodies of an evolution descend from one another, so take the probability as a hint only."
     caption = (
-        "Failures on their linear discriminants. Left as the paper's Fig. 3A, fitted to the points that are shown: with more "
-        "latent dimensions than points even noise falls apart into clusters. Right the same points, each on "
+        "Failures on their linear discriminants. Left as the paper's Fig. 3A, fitted to the points shown: with "
+        "more latent dimensions than points even noise falls apart into clusters. Right the same points, each on "
         "discriminants that have not seen it: only what is apart here is apart in truth."
     )
     return [page.heading("The map of failures"), page.paragraph(text), page.picture(plots.lda_map(lda), caption)]

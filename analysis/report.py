@@ -125,7 +125,7 @@ def _provenance(run: RunFolder) -> str:
     )
     config = page.folded("The configuration, every default spelled out", page.block(run.config_text.strip()))
     return page.section(
-        "How to repeat it", again if run.config_text else "", page.table(("", ""), [row for row in rows if row[1]]),
+        "How to repeat it", again if run.config_text else "", page.table((), [row for row in rows if row[1]]),
         config if run.config_text else "",
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ def facts(run: RunFolder) -> list[tuple[str, str, str]]:
     found: list[tuple[str, str, str]] = []
     if _known(walk, "distance_m", "seconds", "body_length_m"):
         metres = walk["distance_m"] * PERIOD / walk["seconds"]
-        found.append((f"{metres / walk['body_length_m']:.1f}", "body lengths", f"walked in {PERIOD:g} s"))
+        found.append((f"{metres / walk['body_length_m']:.1f}", "\u00d7", f"its own length in {PERIOD:g} s"))
         found.append((f"{metres:.2f}", "m", f"walked in {PERIOD:g} s"))
     if _known(walk, "speed_m_s"):
         found.append((f"{walk['speed_m_s']:.2f}", "m/s", "speed along its best heading"))
@@ -44,10 +44,11 @@ def portrait(run: RunFolder) -> str:
         return page.section(title, page.paragraph(_none(run)))
     parts = [page.picture(
         run.bytes(BEST, BLUEPRINT, "blueprint.png"),
-        "The blueprint: motors green, battery blue, controller red, cables yellow, soft skin translucent.",
+        "The blueprint: every bone in its own tint, soft skin translucent; inside motors green, battery blue, "
+        "controller red, cables yellow.",
     )]  # fmt: skip
     moves = page.picture(run.bytes(BEST, "walk.png"), "The gait of the built twin, one moment after the other.")
-    film = page.film(run.bytes(BEST, "walk.mp4", limit=HEAVY), "Ten seconds of it, at true speed.")
+    film = page.film(run.bytes(BEST, "walk.mp4", limit=HEAVY), "The same as a film, at true speed.")
     parts += [moves, film]
     if not film and run.has(BEST, "walk.mp4"):
         parts.append(page.html_paragraph(f"The film is in {page.code(f'{BEST}/walk.mp4')}."))
@@ -122,7 +123,7 @@ def rehearsal(run: RunFolder) -> str:
         ("greatest torque", _shown(dry.get("peak_torque_Nm"), "{:.1f}", "N&thinsp;m")),
         ("state at the end", escape(str(dry.get("state", "")))),
     ]
-    table = page.table(("dry run", ""), [row for row in rows if row[1]], (1,))
+    table = page.table((), [row for row in rows if row[1]], (1,))
     return page.section("Its dry run", page.paragraph(lead), table)
 
 
@@ -180,7 +181,7 @@ def _behaviour(walk: Mapping[str, Any]) -> str:
         ("load of the hottest motor", _percent(walk.get("overload"), "of what it bears for long")),
         ("fitness", _shown(walk.get("fitness"), "{:.3f}", "m/s")),
     ]
-    return page.heading("How it walks") + page.table(("", ""), [row for row in rows if row[1]], (1,))
+    return page.heading("How it walks") + page.table((), [row for row in rows if row[1]], (1,))
 
 
 def _scores(scores: Mapping[str, Any]) -> list[str]:

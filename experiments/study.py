@@ -1,0 +1,289 @@
+"""`bodyplan study`: what share of random bodies can be built, and what stops the others."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.build import add_pipeline_options
+from experiments.output import (
+    DECODERS,
+    DONE,
+    INTERRUPTED,
+    PRIORS,
+    BadInput,
+    count,
+    emit,
+    make_folder,
+    progress,
+    say,
+    seed,
+)
+from experiments.run_folder import REPORT, cores, locked, opened, terminable, worker_count, write_json
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from analysis.lda import FailureLda
+    from analysis.passthrough import PassThrough
+    from decoder.latent import Decoder
+    from evo.evaluation import Candidate, Evaluation
+    from evo.record import Record
+    from experiments.config import Study
+    from mfg.pipeline import Outcome
+
+HELP = "pass-through table, score histogram and failure map of random bodies"
+
+RECORD, RESULT, TABLE, RATES, SHEET = "study.sqlite", "study.json", "records.csv", "pass_through.csv", "sheet.png"
+TIMEOUT = 120.0  # a design that takes longer is given up [s]
+PICTURE, COLUMNS = (320, 240), 4  # of one example [pixel]
+PASSED_SHOWN, FAILED_SHOWN = 8, 4  # examples on the sheet: of designs that can be built, and of each class of failure
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Decode and score one candidate; the answer depends on these fields and the candidate alone."""
+
+    decoder: str
+    catalogue: str
+
+    def __call__(self, candidate: Candidate) -> Evaluation:
+        """Verdict and scores without exact solids."""
+        from evo.evaluation import Evaluation
+
+        outcome = self.outcome(candidate)
+        return Evaluation(
+            candidate, outcome.design.key, outcome.scores, outcome.failure, stages=dict(outcome.seconds)
+        )  # fmt: skip
+
+    def outcome(self, candidate: Candidate) -> Outcome:
+        """All that the solvers say."""
+        from experiments.build import catalogue
+        from mfg.pipeline import score
+
+        return score(_decoder(self.decoder).decode(candidate.latent[None])[0], catalogue(self.catalogue))
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """Draw one candidate as far as the solvers got with it."""
+
+    decoder: str
+    catalogue: str
+
+    def __call__(self, candidate: Candidate) -> NDArray[np.uint8]:
+        """A picture of its blueprint."""
+        from mfg.picture import picture_of_blueprint
+
+        return picture_of_blueprint(Score(self.decoder, self.catalogue).outcome(candidate).blueprint, PICTURE)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("-n", type=count, default=1000, help="how many bodies (1000)")
+    parser.add_argument("--seed", type=seed, default=0, help="seed of the draw (0)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--decoder", choices=DECODERS, default="genome", help="what turns latents into bodies (genome)")
+    parser.add_argument("--prior", choices=PRIORS, default="normal", help="law of the latents (normal)")
+    add_pipeline_options(parser)
+    parser.add_argument("--workers", type=worker_count, help="processes; 0 works in this one (one per core)")
+    parser.add_argument("--resume", action="store_true", help="go on with the study in DIR if there is one")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run a study from the command line; status 3 if it was interrupted."""
+    from experiments.config import Study
+
+    config = Study("study", args.n, args.seed, args.decoder, args.prior, args.solver, args.catalogue)
+    try:
+        with terminable():
+            return run_study(config, args.out, args)
+    except KeyboardInterrupt:
+        words = [f"-n {args.n}", f"--seed {args.seed}", f"--decoder {args.decoder}", f"--prior {args.prior}"]
+        say(f"\nbodyplan: interrupted; everything that was finished is saved. Go on with: bodyplan study "
+            f"{' '.join(words)} --out {args.out} --resume")  # fmt: skip
+        return INTERRUPTED
+
+
+def run_study(config: Study, folder: Path, args: argparse.Namespace) -> int:
+    """Draw, score and analyse; what is recorded already is not worked out again.
+
+    Args:
+        config: the study.
+        folder: to write to.
+        args: `resume`, `workers` (overrides the configuration's; it changes no result) and `json`.
+
+    Raises:
+        BadInput: if a study is there and `resume` is not set, or it was made with another configuration.
+        OSError: if the folder cannot be written.
+    """
+    started = time.monotonic()
+    make_folder(folder)
+    with locked(folder), opened(config, folder / RECORD, config.n, args.resume) as record:
+        workers = args.workers if args.workers is not None else config.workers
+        workers = cores() if workers is None else workers
+        _score_all(config, record, workers)
+        result = _analyse(config, record, folder, workers, started)
+    if args.json:
+        emit(result)
+    else:
+        print(_summary(result, folder))
+    return DONE
+
+
+def _score_all(config: Study, record: Record, workers: int) -> None:
+    """Score what is missing; every answer is committed as it comes."""
+    from evo.evaluation import Candidate, Evaluation
+    from evo.pool import Pool
+    from mfg.outcome import Failure
+
+    latents = _latents(config)
+    known = {evaluation.candidate.index: evaluation.candidate for evaluation in record.evaluations()}
+    for index, candidate in known.items():
+        if candidate.latent.tobytes() != latents[index].tobytes():
+            raise BadInput(f"body {index} of the study on disk has another latent than seed {config.seed} gives now; "
+                           "it was made with another version of numpy: choose another --out")  # fmt: skip
+    missing = [Candidate(0, index, latents[index]) for index in range(config.n) if index not in known]
+    if not missing:
+        return
+    say(f"{len(missing)} bodies to go, {workers} workers")
+    with Pool[Candidate, Evaluation](Score(config.decoder, config.catalogue), workers, TIMEOUT) as pool:
+        for candidate, answer, seconds in progress(pool.run(missing), len(missing), "scoring"):
+            evaluation = Evaluation(candidate, failure=answer) if isinstance(answer, Failure) else answer
+            record.add(evaluation, seconds)
+
+
+def _analyse(config: Study, record: Record, folder: Path, workers: int, started: float) -> dict[str, Any]:
+    """Write tables, figures, result and report; the report comes last, so whoever sees it sees all."""
+    from analysis import plots
+    from analysis.folder import read_folder
+    from analysis.passthrough import PASSED, pass_through
+    from analysis.population import failure_map
+    from analysis.records import write_csv
+    from analysis.report import write_report
+
+    run = read_folder(folder)
+    counts, lda = pass_through(run.records["outcome"]), failure_map(run)
+    write_csv(run.records, folder / TABLE)
+    (folder / RATES).write_text(_rates(counts), encoding="utf-8")
+    ok = run.records["outcome"] == PASSED
+    figures = {
+        "pass_through.png": plots.pass_through_bars(counts),
+        "scores.png": plots.score_histogram(list(run.records["s_mfg"][ok]), list(run.records["s_mfg"][~ok])),
+        "failures.png": plots.lda_map(lda),
+    }
+    for name, png in figures.items():
+        if png is not None:
+            (folder / name).write_bytes(png)
+    _draw_examples(config, record.evaluations(), folder / SHEET, workers)
+    result = _result(config, counts, lda, round(time.monotonic() - started, 1))
+    write_json(folder / RESULT, result)
+    write_report(folder, lda)
+    return result
+
+
+def _result(config: Study, counts: PassThrough, lda: FailureLda, seconds: float) -> dict[str, Any]:
+    """The object in study.json."""
+    return {
+        "n": counts.n,
+        "seed": config.seed,
+        "decoder": config.decoder,
+        "prior": config.prior,
+        "solver": config.solver,
+        "catalogue": config.catalogue,
+        "counts": counts.counts,
+        "remaining": {row.stage: row.remaining for row in counts.rows()},
+        "pass_rate": counts.rate,
+        "pass_rate_95": list(counts.interval),
+        "lda": lda.to_json(),
+        "seconds": seconds,
+    }
+
+
+def _draw_examples(config: Study, evaluations: list[Evaluation], path: Path, workers: int) -> None:
+    """A contact sheet: designs that can be built over the whole range of scores, then every class of failure."""
+    from evo.evaluation import Candidate
+    from evo.pool import Pool
+    from mfg.outcome import Failure
+    from mfg.picture import contact_sheet
+    from mfg.render import save_png
+
+    shown = _examples(evaluations)
+    images: dict[int, NDArray[np.uint8]] = {}
+    with Pool[Candidate, "NDArray[np.uint8]"](Draw(config.decoder, config.catalogue), workers, TIMEOUT) as pool:
+        drawn = pool.run([evaluation.candidate for evaluation in shown])
+        for candidate, image, _ in progress(drawn, len(shown), "drawing"):
+            if not isinstance(image, Failure):
+                images[candidate.index] = image
+    labels = {e.candidate.index: _label(e) for e in shown if e.candidate.index in images}
+    if labels:
+        sheet = contact_sheet([images[k] for k in labels], list(labels.values()), min(COLUMNS, len(labels)))
+        save_png(path, sheet)
+
+
+def _examples(evaluations: list[Evaluation]) -> list[Evaluation]:
+    """Designs to show: built ones spread evenly from best to worst, the first of every class of failure."""
+    from mfg.outcome import Stage
+
+    passed = sorted((e for e in evaluations if e.passed), key=lambda e: (-e.scores.total, e.candidate.index))
+    number = min(PASSED_SHOWN, len(passed))
+    shown = [passed[round(k * (len(passed) - 1) / max(number - 1, 1))] for k in range(number)]
+    for stage in Stage:
+        # A design that crashed or hung a worker might do so again, so it is not drawn.
+        failed = [e for e in evaluations if e.failure is not None and e.failure.stage == stage != Stage.WORKER]
+        shown += failed[:FAILED_SHOWN]
+    return shown
+
+
+def _label(evaluation: Evaluation) -> str:
+    name = f"{evaluation.candidate.index}"
+    if evaluation.failure is None:
+        return f"{name}  S = {evaluation.scores.total:.2f}"
+    return f"{name}  {evaluation.failure.stage}: {evaluation.failure.reason}"
+
+
+def _rates(counts: PassThrough) -> str:
+    lines = ["stage,reached,failed,remaining"]
+    for row in counts.rows():
+        lines.append(
+            f"{row.stage},{row.reached},{row.failed},{'' if row.remaining is None else f'{row.remaining:.6f}'}"
+        )
+    rate = "" if counts.rate is None else f"{counts.rate:.6f}"
+    return "\n".join([*lines, f"all,{counts.n},{counts.n - counts.passed},{rate}"]) + "\n"
+
+
+def _summary(result: dict[str, Any], folder: Path) -> str:
+    low, high = result["pass_rate_95"]
+    lines = [f"{result['counts']['passed']} of {result['n']} bodies can be built: {100 * result['pass_rate']:.1f} % "
+             f"(95 %: {100 * low:.1f} to {100 * high:.1f} %)"]  # fmt: skip
+    for stage, remaining in result["remaining"].items():
+        if stage != "worker" or result["counts"][stage]:
+            share = "none got here" if remaining is None else f"{100 * remaining:6.2f} % remain"
+            lines.append(f"  {stage:12} {result['counts'][stage]:5} failed   {share}")
+    lda = result["lda"]
+    if lda["balanced_accuracy"] is not None:
+        lines.append(f"latents tell the class of {100 * lda['balanced_accuracy']:.0f} % of failures not seen before "
+                     f"(guessing {100 * lda['chance']:.0f} %, p = {lda['permutation_p']:.3g})")  # fmt: skip
+    return "\n".join([*lines, f"read {folder / REPORT}"])
+
+
+def _latents(config: Study) -> NDArray[np.float32]:
+    import numpy as np
+
+    from decoder.latent import sample_latents
+
+    return sample_latents(config.n, np.random.default_rng(config.seed), config.prior)
+
+
+@functools.cache
+def _decoder(name: str) -> Decoder:
+    """Each process makes a decoder once."""
+    from decoder.latent import make_decoder
+
+    return make_decoder(name)
