@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import importlib
-import importlib.util
 import os
 import sqlite3
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study
 from experiments.output import BAD_INPUT, INTERRUPTED, BadInput, say
 
 VERSION = "0.1.0"
 
-# In the order in which a new user meets them.
-COMMANDS = ("run", "sample", "build", "score", "study", "simulate", "deploy", "replay", "report", "doctor")
+# In the order in which a new user meets them. Their files import nothing heavy until they run.
+COMMANDS = {
+    "run": run, "sample": sample, "build": build, "score": score, "study": study, "simulate": simulate,
+    "deploy": deploy, "replay": replay, "report": report, "doctor": doctor,
+}  # fmt: skip
 
 # Workers are processes, one per core; a maths library that starts threads of its own makes all of them slower, and its
 # sums depend on the number of threads. Must be set before numpy is imported.
@@ -37,14 +39,15 @@ say why they cannot, a simulator lets it walk, evolution asks for more, and the 
 a first session:
   bodyplan sample -n 8 --out bodies            propose eight bodies and look at bodies/sheet.png
   bodyplan score bodies/*.npz                  can each one be built, and how easily?
-  bodyplan build bodies/0.npz --out robot      the whole blueprint: parts to print, parts to buy, wiring, models
-  bodyplan simulate robot --video walk.mp4     find a gait and film it
+  bodyplan build experiments/examples/quadruped.vox --out robot      a painted one, as a folder to print
+  bodyplan simulate robot --video walk.mp4     find a gait for it and film it
 
 an experiment:
   bodyplan run experiments/configs/quickstart.toml --out runs/first
   bodyplan run experiments/configs/quickstart.toml --out runs/first --resume     after Ctrl-C or a crash
-  bodyplan report runs/first                   one HTML file about what happened
+  bodyplan report runs/first                   one HTML file about what happened, as the run leaves it too
   bodyplan deploy runs/first/best/bundle --bus virtual --dry-run     rehearse on simulated motors
+  bodyplan study -n 1000 --out runs/study      what share of random bodies can be built, and what stops the others
 
 exit status: 0 done, 1 the design cannot be built, 2 bad input or configuration, 3 interrupted but resumable.
 """
@@ -89,13 +92,11 @@ def _parse(argv: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--version", action="version", version=f"bodyplan {VERSION}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    names = [name for name in COMMANDS if importlib.util.find_spec(f"experiments.{name}")]
-    if argv and not argv[0].startswith("-") and argv[0] not in names:
-        close = difflib.get_close_matches(argv[0], names, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
+    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
+        close = difflib.get_close_matches(argv[0], COMMANDS, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COMMANDS)}"
         parser.error(f"unknown command {argv[0]!r}; {hint}")
-    for name in names:
-        module = importlib.import_module(f"experiments.{name}")
+    for name, module in COMMANDS.items():
         command = commands.add_parser(name, help=module.HELP, description=module.HELP, allow_abbrev=False)
         module.configure(command)
         command.set_defaults(main=module.main, parser=command)

@@ -47,9 +47,8 @@ def test_help_names_every_command_and_says_what_it_does(bodyplan):
 
 
 def test_every_command_explains_each_of_its_arguments(bodyplan):
-    for name in COMMANDS:
+    for name, module in COMMANDS.items():
         parser = argparse.ArgumentParser()
-        module = importlib.import_module(f"experiments.{name}")
         module.configure(parser)
         assert all(action.help for action in parser._actions), name
         said = bodyplan(name, "--help")
