@@ -14,7 +14,6 @@ from mfg.outcome import Scores
 
 if TYPE_CHECKING:
     from mfg.fields import Field
-    from mfg.masses import MassProperties
     from mfg.solids import Solid
 
 Transform = NDArray[np.float64]  # (4, 4) homogeneous; T_a_b maps coordinates in frame b to frame a
@@ -154,6 +153,21 @@ class PrintedPart:
     body: int
     material: Literal["rigid", "soft"]
     solid: Solid
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MassProperties:
+    """A rigid body's mass distribution.
+
+    Attributes:
+        mass: [kg].
+        com: centre of mass in the design frame [m], (3,).
+        inertia: about the centre of mass, in design axes [kg.m2], (3, 3).
+    """
+
+    mass: float
+    com: NDArray[np.float64]
+    inertia: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

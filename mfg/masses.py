@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfg.blueprint import Blueprint, Transform, WireRun
+from mfg.blueprint import Blueprint, MassProperties, Transform, WireRun
 from mfg.catalogue import Filament, Motor, Size
 from mfg.mounts import motor_pose
 from mfg.solids import surface
@@ -17,21 +17,6 @@ from mfg.solids import surface
 # Second moments of uniform shapes over mass: a triangle's and a tetrahedron's vertices weigh like this.
 _TRIANGLE = 1.0 / 12.0
 _TETRAHEDRON = 1.0 / 20.0
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class MassProperties:
-    """A rigid body's mass distribution.
-
-    Attributes:
-        mass: [kg].
-        com: centre of mass in the design frame [m], (3,).
-        inertia: about the centre of mass, in design axes [kg.m2], (3, 3).
-    """
-
-    mass: float
-    com: NDArray[np.float64]
-    inertia: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
