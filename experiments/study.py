@@ -77,10 +77,13 @@ class Draw:
     catalogue: str
 
     def __call__(self, candidate: Candidate) -> NDArray[np.uint8]:
-        """A picture of its blueprint."""
-        from mfg.picture import picture_of_blueprint
+        """A picture of its blueprint, or of the design where not even a skeleton came of it."""
+        from mfg.picture import picture_of_blueprint, picture_of_design
 
-        return picture_of_blueprint(Score(self.decoder, self.catalogue).outcome(candidate).blueprint, PICTURE)
+        outcome = Score(self.decoder, self.catalogue).outcome(candidate)
+        if not outcome.blueprint.bodies:
+            return picture_of_design(outcome.design, PICTURE)
+        return picture_of_blueprint(outcome.blueprint, PICTURE)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
