@@ -24,6 +24,7 @@ REASONS: dict[str, str] = {
     Reason.BONE_SEVERED: "Making room for the motor would cut a rigid body in pieces.",
     Reason.NO_ROOM: "No rigid body is large enough inside for the battery or the controller box.",
     Reason.NO_ROUTE: "No cable tunnel leads from some motor to the controller within the rigid bodies.",
+    Reason.SHARP_BEND: "A cable tunnel would bend tighter than a cable can be pushed through.",
     Reason.TOO_LARGE: "A part does not fit the printer in any orientation.",
     Reason.NOT_WATERTIGHT: "A part is not one closed solid, so a slicer would guess what is inside.",
     Reason.OVERLAP: "Two parts claim the same space.",

@@ -30,6 +30,7 @@ class Reason(StrEnum):
     BONE_SEVERED = "bone_severed"
     NO_ROOM = "no_room"
     NO_ROUTE = "no_route"
+    SHARP_BEND = "sharp_bend"
     TOO_LARGE = "too_large"
     NOT_WATERTIGHT = "not_watertight"
     OVERLAP = "overlap"

@@ -35,6 +35,7 @@ class WireSolver:
         step: between points of a path [m].
         window: length of the moving average [m].
         max_length: longest cable that is worth pulling [m].
+        min_bend: least bend radius of a tunnel, in tunnel radii; a cable cannot be pushed around a tighter corner.
     """
 
     clearance: float = 0.0005
@@ -44,6 +45,7 @@ class WireSolver:
     step: float = 0.004
     window: float = 0.032
     max_length: float = 1.5
+    min_bend: float = 1.6
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `wires` and the cable score, or a wire failure."""
@@ -53,6 +55,7 @@ class WireSolver:
         controller = blueprint.box("controller").T_design_box[:3, 3]
         away = [float(np.linalg.norm(seat.T_design_motor[:3, 3] - controller)) for seat in blueprint.seats]
         runs: dict[int, WireRun] = {}
+        sharpest = 0.0  # greatest curvature so far [1/m]
         notes = []
         for k in sorted(range(len(away)), key=lambda k: (-away[k], k)):
             name = f"wire_{blueprint.hinges[blueprint.seats[k].hinge].body}"
@@ -63,6 +66,15 @@ class WireSolver:
             path = self._smooth(rough, hardware, k, radius)
             if path is None:
                 return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} cannot be kept clear of motors and boxes")
+            bend = curvature(path)
+            if bend * self.min_bend * radius > 1.0:
+                return Failure(
+                    Stage.WIRE,
+                    Reason.SHARP_BEND,
+                    f"{name} would bend with a radius of {1e3 / bend:.1f} mm, at least "
+                    f"{1e3 * self.min_bend * radius:.1f} mm is needed",
+                )
+            sharpest = max(sharpest, bend)
             runs[k] = WireRun(name, k, path, radius)
             if runs[k].length > self.max_length:
                 return Failure(
@@ -73,9 +85,9 @@ class WireSolver:
             if compromise:
                 notes.append(f"{name} {compromise}")
         wires = tuple(runs[k] for k in range(len(away)))
-        length, bend = sum(run.length for run in wires), max((curvature(run.path) for run in wires), default=0.0)
+        length = sum(run.length for run in wires)
         routed = replace(blueprint, wires=wires, notes=(*blueprint.notes, *notes))
-        return routed.scored(cable=cable_score(length, bend, blueprint.catalogue))
+        return routed.scored(cable=cable_score(length, sharpest, blueprint.catalogue))
 
     def _smooth(self, path: Array, hardware: Hardware, seat: int, radius: float) -> Array | None:
         """Moving average over evenly spaced points, ends fixed, then pushed out of whatever it came too near to.

@@ -117,6 +117,16 @@ def test_a_wire_that_is_too_long_is_a_failure(robot: Blueprint) -> None:
     assert "at most 0.10 m" in answer.detail
 
 
+def test_a_corner_too_sharp_for_a_cable_is_a_failure(robot: Blueprint, wired: Blueprint) -> None:
+    sharpest = max(curvature(wire.path) for wire in wired.wires)
+    tight = 1.0 / (sharpest * RADIUS)  # In tunnel radii: the bend that this robot needs.
+    assert isinstance(replace(SOLVER, min_bend=0.99 * tight).solve(robot), Blueprint)
+    answer = replace(SOLVER, min_bend=1.01 * tight).solve(robot)
+    assert isinstance(answer, Failure)
+    assert (answer.stage, answer.reason) == (Stage.WIRE, Reason.SHARP_BEND)
+    assert "is needed" in answer.detail
+
+
 def test_wires_may_share_a_channel_and_say_so(robot: Blueprint) -> None:
     net = Net(robot, Hardware.of(robot), RADIUS, SOLVER.gap, SOLVER.stride, SOLVER.bridge)
     free, taken = net.route(0, []), net.route(0, [net.vertices])
