@@ -56,8 +56,8 @@ format: install  ## rewrite the sources in the one format
 	@$(BIN)/ruff check --fix --quiet . || true
 	@$(BIN)/ruff format .
 
-bench: install  ## measure: one table, and docs/bench.json beside it
-	@$(ONE_THREAD) $(BIN)/python -m experiments.bench --out docs
+bench: install  ## measure: one table, docs/bench.json, and the table of the README (on an idle machine, some minutes)
+	@$(ONE_THREAD) $(BIN)/python -m experiments.bench --out docs/bench.json --readme README.md
 
 picture: install  ## draw docs/robot.png of the README from the run in OUT
 	@$(BIN)/python -m experiments.cover "$(OUT)" --out docs/robot.png

@@ -33,6 +33,7 @@ DECODE, SCORE, BUILD, BARE = 0.1, 0.15, 0.7, 0.95  # goals of the design, on two
 HELP_TIME = 0.5  # goal [s]
 GAITS, GAIT_SECONDS, REPEATS = 16, 4.0, 3  # of the comparison with the bare simulator
 MIB = 2**20
+MARK = "<!-- bench -->"
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
@@ -40,22 +41,28 @@ Row = dict[str, Any]  # {"what", "value", "unit", "goal": text or None, "note": 
 
 
 def main() -> int:
-    """Measure everything, print the table, write bench.json and bench.md."""
+    """Measure everything, print the table, write it as JSON and into the README."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
     parser.add_argument("-n", type=count, default=30, help="designs (30)")
     parser.add_argument("--evaluations", type=count, default=24, help="evaluations per number of workers (24)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for bench.json and bench.md")
+    parser.add_argument("--out", type=Path, required=True, help="JSON to write")
+    parser.add_argument("--readme", type=Path, help="put the table between its two bench marks")
     args = parser.parse_args()
-    folder = make_folder(args.out)
+    make_folder(args.out.parent)
     rows: list[Row] = []
     sections = (designs(args.n), motor_scan(), simulator(), workers(args.evaluations), start(), memory())
     for row in itertools.chain.from_iterable(sections):  # Generators: each section measures when its turn comes.
         say(line(row))
         rows.append(row)
     result = {"bodyplan": VERSION, "machine": machine(), "seed": SEED, "designs": args.n, "rows": rows}
-    (folder / "bench.json").write_text(json.dumps(result, indent=2) + "\n", "utf-8")
-    table = markdown(rows)
-    (folder / "bench.md").write_text(f"{machine()}\n\n{table}", "utf-8")
+    args.out.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    table = f"Measured on {machine()}.\n\n{markdown(rows)}"
+    if args.readme is not None:
+        before, _, rest = args.readme.read_text("utf-8").partition(MARK)
+        after = rest.partition(MARK)[2]
+        if not after:
+            raise SystemExit(f"{args.readme} lacks two lines {MARK}; the table goes between them")
+        args.readme.write_text(f"{before}{MARK}\n{table}{MARK}{after}", "utf-8")
     print(table)
     return 0
 
@@ -81,6 +88,8 @@ def designs(n: int) -> Iterator[Row]:
     yield row("decode", statistics.median(decode[1:]), "s/design", f"<= {DECODE}")
     yield row("score, any design", statistics.median(t for t, _ in scored), "s/design", f"<= {SCORE}")
     passed = [(t, o) for t, o in scored if o.ok]
+    if not passed:
+        raise SystemExit(f"none of {n} designs can be built, so there is nothing to time; take more with -n")
     yield row("score, design that passes", statistics.median(t for t, _ in passed), "s/design")
     yield from stages("score", [o for _, o in passed])
     built = [timed(build, o.design) for _, o in progress(passed, len(passed), "build")]
@@ -183,7 +192,7 @@ def workers(n: int) -> Iterator[Row]:
 
     from decoder.latent import sample_latents
     from evo.evaluate import Evaluate
-    from evo.evaluation import Candidate
+    from evo.evaluation import Candidate, Evaluation
     from evo.pool import Pool
 
     latents = sample_latents(n + 2, np.random.default_rng(SEED))
