@@ -25,7 +25,7 @@ from experiments.output import count, make_folder, progress, say
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
-    from evo.evaluation import Evaluation
+    from evo.evaluation import Candidate
     from mfg.pipeline import Outcome
 
 SEED = 0
@@ -217,10 +217,34 @@ def start() -> Iterator[Row]:
 
 
 def memory() -> Iterator[Row]:
-    """Peak resident memory of this process and of its largest worker."""
-    scale = 1024 if sys.platform != "darwin" else 1  # Linux counts in KiB, macOS in bytes.
-    for name, who in (("this process", resource.RUSAGE_SELF), ("largest worker", resource.RUSAGE_CHILDREN)):
-        yield row(f"peak memory, {name}", resource.getrusage(who).ru_maxrss * scale / MIB, "MiB")
+    """Peak resident memory of a worker after a few evaluations, and of this process after everything above."""
+    import numpy as np
+
+    from decoder.latent import sample_latents
+    from evo.evaluation import Candidate
+    from evo.pool import Pool
+
+    tasks = [Candidate(0, k, z) for k, z in enumerate(sample_latents(4, np.random.default_rng(SEED)))]
+    with Pool[Candidate, float](peak_after, 1, 300.0) as pool:
+        peaks = [mib for _, mib, _ in pool.run(tasks) if isinstance(mib, float)]
+    yield row("peak memory, a worker", max(peaks), "MiB")
+    yield row("peak memory, this process", peak(), "MiB")
+
+
+def peak_after(candidate: Candidate) -> float:
+    """Evaluate a candidate, then give the peak memory so far of the process that did [MiB]."""
+    from evo.evaluate import Evaluate
+
+    Evaluate(SEED)(candidate)
+    return peak()
+
+
+def peak() -> float:
+    """Peak resident memory of this process [MiB]."""
+    status = Path("/proc/self/status")
+    if status.exists():  # Linux lets a child inherit its parent's peak in getrusage, but not here.
+        return next(int(t.split()[1]) for t in status.read_text().splitlines() if t.startswith("VmHWM")) * 1024 / MIB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MIB
 
 
 def random_designs() -> Iterator[VoxelDesign]:
