@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from mfg.blueprint import Blueprint, WireRun
 from mfg.outcome import Failure, Reason, Stage
@@ -63,9 +64,11 @@ class WireSolver:
             if found is None:
                 return Failure(Stage.WIRE, Reason.NO_ROUTE, f"no way along the bones to the motor of {name}")
             rough, compromise = found
-            path = self._smooth(rough, hardware, k, radius)
+            path, alone = self._smooth(rough, hardware, k, radius, [run.path for run in runs.values()])
             if path is None:
                 return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} cannot be kept clear of motors and boxes")
+            if not alone and not compromise:
+                compromise = "shares a channel with an earlier wire"
             bend = curvature(path)
             if bend * self.min_bend * radius > 1.0:
                 return Failure(
@@ -89,11 +92,18 @@ class WireSolver:
         routed = replace(blueprint, wires=wires, notes=(*blueprint.notes, *notes))
         return routed.scored(cable=cable_score(length, sharpest, blueprint.catalogue))
 
-    def _smooth(self, path: Array, hardware: Hardware, seat: int, radius: float) -> Array | None:
+    def _smooth(
+        self, path: Array, hardware: Hardware, seat: int, radius: float, earlier: list[Array]
+    ) -> tuple[Array | None, bool]:
         """Moving average over evenly spaced points, ends fixed, then pushed out of whatever it came too near to.
 
-        Where a wide average would cut through hardware, a narrower one is taken.
+        Where a wide average would cut through hardware or an earlier tunnel, a narrower one is taken.
+
+        Returns:
+            The path, None where none keeps clear of hardware; and whether it keeps clear of the earlier tunnels too.
         """
+        taken = cKDTree(np.concatenate([resampled(other, 0.001) for other in earlier])) if earlier else None
+        apart, second = 2 * radius + self.gap, None
         need = hardware.needs(seat, radius, self.gap)[:, None]
         least = hardware.needs(seat, radius, 0.0)[:, None] - SAG
         rough = resampled(path, self.step)
@@ -101,6 +111,10 @@ class WireSolver:
         while span > 0:
             path = moving_average(moving_average(rough, span), span)
             for _ in range(12):
+                if taken is not None:
+                    away, nearest = (np.asarray(a) for a in taken.query(path[1:-1]))
+                    outward = (path[1:-1] - np.asarray(taken.data)[nearest]) / np.maximum(away, 1e-6)[:, None]
+                    path[1:-1] += np.maximum(apart - away, 0.0)[:, None] * outward
                 short = need + SAG - hardware.distance(path[1:-1])
                 worst = short.argmax(axis=0)
                 low = np.flatnonzero(short.max(axis=0) > 1e-5)
@@ -108,10 +122,13 @@ class WireSolver:
                     break
                 which, points = worst[low], path[1:-1][low]
                 path[1 + low] += short[which, low][:, None] * hardware.outward(points, which)
-            if (hardware.distance(resampled(path, 0.001)[1:-1]) >= least).all():
-                return path
+            fine = resampled(path, 0.001)[1:-1]
+            if (hardware.distance(fine) >= least).all():
+                if taken is None or (np.asarray(taken.query(fine)[0]) >= 2 * radius).all():
+                    return path, True
+                second = path if second is None else second
             span //= 2
-        return None
+        return second, False
 
 
 def resampled(path: Array, step: float) -> Array:
