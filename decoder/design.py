@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import struct
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -18,6 +21,11 @@ GRID = 64  # voxels along each side of the grid
 DEFAULT_PITCH = 0.010  # edge of one voxel [m]; a body is then 0.3 to 0.64 m
 FORMAT = "bodyplan-design"
 VERSION = 1
+# What numpy and zipfile raise on bytes that are no archive, or one that was cut or altered.
+_DAMAGED = (
+    ValueError, TypeError, SyntaxError, KeyError, EOFError, OSError, OverflowError, MemoryError, RuntimeError,
+    NotImplementedError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 _ARRAYS = ("format", "version", "material", "segment", "pitch", "position", "axis", "range", "link", "confidence")
 
 
@@ -161,20 +169,14 @@ class VoxelDesign:
             DesignError: if the file is truncated, foreign, pickled, of another version or breaks an invariant.
             OSError: if it cannot be read at all.
         """
-        try:
-            # Opened here, because numpy forgets to close a file that it cannot read.
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-                if not isinstance(archive, np.lib.npyio.NpzFile):
-                    raise DesignError(f"{path}: this is a single array, not a design archive (.npz)")
-                stored = {name: archive[name] for name in _ARRAYS if name in archive.files}
-        except DesignError:
-            raise
-        except (ValueError, EOFError, zipfile.BadZipFile, KeyError, NotImplementedError, MemoryError) as error:
-            raise DesignError(f"{path}: not a readable design archive ({_first_line(error)})") from error
-        except Exception as error:
-            if type(error).__module__ != "zlib":
-                raise
-            raise DesignError(f"{path}: the archive is damaged ({_first_line(error)})") from error
+        with open(path, "rb") as file:  # Opened here: numpy forgets to close a file that it cannot read.
+            try:
+                with np.load(file, allow_pickle=False) as archive:
+                    if not isinstance(archive, np.lib.npyio.NpzFile):
+                        raise DesignError("this is a single array")
+                    stored = {name: archive[name] for name in _ARRAYS if name in archive.files}
+            except _DAMAGED as error:
+                raise DesignError(f"{path}: not a readable design archive ({_first_line(error)})") from error
         missing = [name for name in _ARRAYS if name not in stored]
         if missing:
             raise DesignError(f"{path}: not a design archive, it lacks {', '.join(missing)}")

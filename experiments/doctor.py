@@ -94,7 +94,7 @@ def _machine() -> list[Finding]:
     ]
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / GIB
-        findings.append(Finding("memory", memory >= 3, f"{memory:.1f} GiB; a worker uses about 1 GiB"))
+        findings.append(Finding("memory", memory >= 2, f"{memory:.1f} GiB; a worker uses about 0.3 GiB"))
     free = shutil.disk_usage(".").free / GIB
     findings.append(Finding("disk", free >= 1, f"{free:.1f} GiB free in this folder; a run takes up to 0.2 GiB"))
     return findings

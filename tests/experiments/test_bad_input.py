@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decoder.design import GRID, VoxelDesign
+from decoder.design import GRID, DesignError, VoxelDesign
+from decoder.sketch import load_design
 
 Maker = Callable[[Path, VoxelDesign], list[object]]
 
@@ -304,6 +305,17 @@ FOLDERS: dict[str, tuple[Maker, str]] = {
     "report: a file": (words("report", "{file}"), "file"),
     "report: corrupt run file": (words_with(folder_with("run.sqlite", b"no database" * 99), "report", GIVEN), "given"),
     "report: empty run file": (words_with(folder_with("run.sqlite", b""), "report", GIVEN), "given"),
+    "run: file in the way": (
+        words_with(folder_with("c.toml", b'kind = "evolve"'), "run", GIVEN + "/c.toml", "--out", "{file}"), "is a file",
+    ),
+    "run: output in a folder that cannot be": (
+        words_with(folder_with("c.toml", b'kind = "study"'), "run", GIVEN + "/c.toml", "--out", "/proc/nothing"),
+        "/proc/nothing",
+    ),
+    "run: another kind of run file there": (
+        words_with(folder_with("run.sqlite", b"no database" * 99), "run", "experiments/configs/tiny.toml", "--out",
+                   GIVEN, "--resume"), "given",
+    ),
     "simulate: missing": (words("simulate", GIVEN), "given"),
     "simulate: not a blueprint": (words_with(folder_with("x", b""), "simulate", GIVEN), "given"),
     "simulate: broken model": (words_with(folder_with("robot.xml", b"<mujoco"), "simulate", GIVEN), "given"),
@@ -336,6 +348,35 @@ def one_clear_line(said, fragment):
     assert said.err.count("\n") == 1, said.err
     assert 30 < len(said.err) < 600
     assert re.search(fragment, said.err, re.IGNORECASE)
+
+
+@pytest.mark.parametrize("name", ["packed.npz", "plain.npz", "painted.vox"])
+def test_a_file_cut_or_altered_anywhere_is_read_or_refused_but_never_more(name, hinge, tmp_path):
+    good = {
+        "packed.npz": lambda: hinge.save(tmp_path / name),
+        # Small arrays, so that the headers, which numpy reads as Python, are a large part of the file.
+        "plain.npz": lambda: np.savez(tmp_path / name, **{k: v[:1] if v.ndim == 3 else v
+                                                          for k, v in arrays(hinge, tmp_path).items()}),
+        "painted.vox": lambda: (tmp_path / name).write_bytes(vox(SIZE, VOXEL, chunk(b"RGBA", bytes(1024)))),
+    }  # fmt: skip
+    good[name]()
+    data, rng = (tmp_path / name).read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for k in range(200):
+        damaged = bytearray(data)
+        if k % 4 == 0:
+            del damaged[rng.integers(len(damaged)) :]
+        for place in (
+            rng.integers(len(damaged) if k % 4 == 1 else min(len(damaged), 900), size=k % 4) if damaged else ()
+        ):
+            damaged[place] ^= 1 << rng.integers(8)
+        (tmp_path / name).write_bytes(damaged)
+        try:
+            load_design(tmp_path / name)
+        except DesignError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 50
 
 
 def test_a_full_disk_is_one_clear_line(bodyplan, tmp_path, monkeypatch):
