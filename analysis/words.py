@@ -25,6 +25,7 @@ REASONS: dict[str, str] = {
     Reason.NO_ROOM: "No rigid body is large enough inside for the battery or the controller box.",
     Reason.NO_ROUTE: "No cable tunnel leads from some motor to the controller within the rigid bodies.",
     Reason.SHARP_BEND: "A cable tunnel would bend tighter than a cable can be pushed through.",
+    Reason.SHARP_BEND: "A cable tunnel bends more tightly than the cable can follow.",
     Reason.TOO_LARGE: "A part does not fit the printer in any orientation.",
     Reason.NOT_WATERTIGHT: "A part is not one closed solid, so a slicer would guess what is inside.",
     Reason.OVERLAP: "Two parts claim the same space.",
