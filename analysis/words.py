@@ -16,7 +16,7 @@ STAGES: dict[str, str] = {
 REASONS: dict[str, str] = {
     Reason.NO_JOINT: "The body has no hinge, so nothing of it can move.",
     Reason.DISCONNECTED: "Some of the body hangs together with the rest by no hinge.",
-    Reason.CYCLE: "The hinges close a loop; a robot of this kind must be a tree.",
+    Reason.CYCLE: "Segments hang together in a loop; a robot of this kind must be a tree.",
     Reason.TOO_THIN: "A rigid segment is so thin that nothing of it is left to print.",
     Reason.NO_MOTION: "A hinge cannot turn far enough before the bodies beside it touch.",
     Reason.NO_OVERLAP: "A body is too far from its hinge, or too slight there, to hold the motor or its output.",
