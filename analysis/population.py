@@ -136,11 +136,13 @@ def _map(run: RunFolder, lda: FailureLda) -> list[str]:
     if accuracy is None or chance is None or p is None or lda.interval is None:
         return [page.paragraph(f"There are too few failures to map: two classes of ten each are needed.{without}")]
     low, high = lda.interval
-    verdict = (
-        "so failures of one kind do lie together in latent space, and evolution can learn to avoid them"
-        if p < 0.05
-        else "so this many designs do not show that kinds of failure have regions of their own in latent space"
-    )
+    clear = (accuracy - chance) / (1.0 - chance)  # 0 is guessing, 1 is certainty
+    if p >= 0.05:
+        verdict = "so this many designs do not show that kinds of failure have regions of their own in latent space"
+    elif clear < 0.5:
+        verdict = "so kinds of failure do differ in where they lie in latent space, but their regions overlap widely"
+    else:
+        verdict = "so failures of one kind lie together in latent space, where a search can avoid them"
     text = (
         f"Linear discriminants recognise the class of {_percent(accuracy)} of failures they have not seen, every class "
         f"counted alike (95 % interval {_percent(low)} to {_percent(high)}); guessing gives {_percent(chance)}, and "

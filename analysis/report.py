@@ -115,7 +115,7 @@ def _provenance(run: RunFolder) -> str:
     if "config_hash" in run.meta:
         rows.append(("configuration", page.code(run.meta["config_hash"])))
     if "seconds" in run.result and run.kind != "sketch":
-        rows.append(("wall time", f"{run.result['seconds']:.0f} s"))
+        rows.append(("wall time of the last session", f"{run.result['seconds']:.0f} s"))
     if not run.records.empty:
         rows.append(("computing time of all evaluations", f"{run.records['seconds'].sum():.0f} s"))
     rows += [(escape(name), escape(version)) for name, version in _versions(run).items()]
