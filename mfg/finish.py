@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -23,7 +23,7 @@ from mfg.exact import (
 from mfg.fields import Field
 from mfg.masses import body_masses
 from mfg.motors import MotorSolver
-from mfg.mounts import Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
+from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
 from mfg.scores import (
@@ -58,8 +58,8 @@ class FinishSolver:
         min_skin: least thickness of a skin [m].
         tolerance: surface error allowed when thinning triangles, half the width of a printed line [m].
         max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
-        motors: the motor solver whose threshold and objective are applied again to the exact volumes.
-        slack: share of that threshold by which its sampled volumes may have been too large.
+        min_overlap: tau of Eq. 2, applied to the exact volumes [m3].
+        alpha: of Eq. 3, as in the motor solver.
     """
 
     gap: float = 1.5e-3
@@ -69,8 +69,8 @@ class FinishSolver:
     min_skin: float = 1.2e-3
     tolerance: float = 3.0e-4
     max_touch: float = 1.0e-9
-    motors: MotorSolver = field(default_factory=MotorSolver)
-    slack: float = 0.1
+    min_overlap: float = MIN_OVERLAP
+    alpha: float = MotorSolver.alpha
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
@@ -104,17 +104,17 @@ class FinishSolver:
         catalogue, seats = blueprint.catalogue, []
         for seat in blueprint.seats:
             V_h, V_c = attachment(blueprint, seat, bones)
-            if min(V_h, V_c) < (1 - self.slack) * self.motors.min_overlap:
+            if min(V_h, V_c) < self.min_overlap:
                 return Failure(
                     Stage.MOTOR,
                     Reason.NO_OVERLAP,
                     f"{blueprint.hinges[seat.hinge].name}: the solids share {1e6 * V_h:.1f} cm3 with the holder and "
-                    f"{1e6 * V_c:.1f} cm3 with the connector, each needs {1e6 * self.motors.min_overlap:.1f} cm3",
+                    f"{1e6 * V_c:.1f} cm3 with the connector, each needs {1e6 * self.min_overlap:.1f} cm3",
                 )
-            score = mount_balance(V_h, V_c, self.motors.alpha)
+            score = mount_balance(V_h, V_c, self.alpha)
             seats.append(replace(seat, holder_volume=V_h, connector_volume=V_c, score=score))
         scores = {
-            "motor": motor_score([seat.score for seat in seats], mount, self.motors.alpha),
+            "motor": motor_score([seat.score for seat in seats], mount, self.alpha),
             "body_install": body_install_score(body_overlap(blueprint, bones)),
         }
         if blueprint.boxes:
@@ -190,7 +190,8 @@ class FinishSolver:
                     continue
                 loser, keeper = (i, j) if a.material == "soft" and b.material == "rigid" else (j, i)
                 trimmed = parts[loser].solid.minus([parts[keeper].solid]).components()
-                if not trimmed or trimmed[0].overlap(parts[keeper].solid) > self.max_touch:
+                kept = trimmed[0].volume if trimmed else 0.0
+                if kept < (1 - self.max_loss) * parts[loser].solid.volume:
                     return Failure(Stage.PRINT, Reason.OVERLAP, f"{a.name} and {b.name} cannot be told apart")
                 parts[loser] = replace(parts[loser], solid=trimmed[0])
         return parts
@@ -206,7 +207,7 @@ class FinishSolver:
             # Two sheets that meet in an edge or a corner: no printer makes that, so open it.
             ends = vertices[torn] / MM_PER_M
             pieces = solid.minus([ball_chain(pair, PINCH, 8) for pair in ends]).components()
-            if not pieces:
+            if not pieces or pieces[0].volume < part.solid.volume - self.min_piece:
                 break
             solid = pieces[0]
         return Failure(Stage.PRINT, Reason.NOT_WATERTIGHT, f"{part.name} does not close on the lattice of an STL file")

@@ -45,11 +45,10 @@ class MotionSolver:
         volumes = [body.bone.volume() for body in bodies]
         for hinge in blueprint.hinges:
             pair = _CylindricalPair.sample(bodies[hinge.parent].bone, bodies[hinge.body].bone, hinge, self)
-            if pair is None:  # The two bones share no circle about the axis: nothing can ever touch.
-                hinges.append(hinge)
-                continue
             allowed = self.max_interference * min(volumes[hinge.parent], volumes[hinge.body])
-            low, high = _feasible(pair.interference(), hinge.range, allowed, pair.step)
+            low, high = (float(v) for v in hinge.range)
+            if pair is not None:
+                low, high = _feasible(pair.interference(), hinge.range, allowed, pair.step)
             if high - low < self.min_range:
                 return Failure(
                     Stage.MOTOR,
@@ -58,6 +57,8 @@ class MotionSolver:
                     f"is in the way, needs {self.min_range:.2f} rad",
                 )
             hinges.append(replace(hinge, range=np.array([low, high])))
+            if pair is None:  # The two bones share no circle about the axis: nothing can ever touch.
+                continue
             # The heavier bone of the pair gives way: it has more to give.
             carved = hinge.parent if volumes[hinge.parent] >= volumes[hinge.body] else hinge.body
             swept = pair.swept(low, high, of_child=carved == hinge.parent)

@@ -16,13 +16,16 @@ from mfg.mounts import MIN_OVERLAP, Mount, envelope_depth, motor_pose, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.scores import body_install_score, body_overlap, motor_score, mount_balance
 
+SAMPLING_MARGIN = 1.05  # sampled volumes are within 4 % of the exact ones
+
 
 @dataclass(frozen=True)
 class MotorSolver:
     """Scan offsets and both assignments of holder and connector; seat the best motor of every hinge.
 
     Attributes:
-        min_overlap: tau, least volume that holder and connector must each share with their body [m3].
+        min_overlap: tau, least volume that holder and connector must each share with their body [m3]; asked of the
+            sampled volumes with a margin, so that the exact ones keep it.
         alpha: weight of the total volume against the balanced one in g(delta).
         scan: offsets reach from -scan to +scan along the axis [m].
         step: between offsets, and height of a slice of the sampled rings [m].
@@ -30,7 +33,7 @@ class MotorSolver:
         ring_steps, angle_steps: samples across and around the ring in which mount and bone overlap.
     """
 
-    min_overlap: float = MIN_OVERLAP
+    min_overlap: float = SAMPLING_MARGIN * MIN_OVERLAP
     alpha: float = 0.25
     scan: float = 0.040
     step: float = 2.0e-3

@@ -12,6 +12,7 @@ from mfg.blueprint import Blueprint, Body, BoxSeat
 from mfg.fields import Field, Window, box_depth, cylindrical
 from mfg.mounts import Mount, cup_depth, disc_depth, mount_of
 from mfg.outcome import Failure, Reason, Stage
+from mfg.plate import fits_printer
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,13 @@ class PrintabilitySolver:
             failure = self._in_one_piece(blueprint, index, body, field)
             if failure is not None:
                 return failure
-            extents = print_extents(*_inside(body, field))
-            if not fits(extents, printer.volume):
+            outline = np.concatenate([outline_points(f) for f in (field, body.skin) if f is not None])
+            if not fits_printer(outline, printer.volume):
                 return Failure(
                     Stage.PRINT,
                     Reason.TOO_LARGE,
-                    f"{body.name} measures {_mm(extents)} mm, {printer.name} prints {_mm(np.array(printer.volume))} mm",
+                    f"{body.name} measures {_mm(np.ptp(outline, axis=0))} mm and no way up fits the "
+                    f"{_mm(np.array(printer.volume))} mm of {printer.name}",
                 )
         return blueprint
 
@@ -119,24 +121,13 @@ def about_motor(
     return cylindrical(field.axes(window), T_design_motor[:3, 3], T_design_motor[:3, 2])
 
 
-def print_extents(points: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Extents of the smaller of two boxes around a body: along the design axes or its principal axes [m].
-
-    Args:
-        points: samples inside the body [m], (n, 3).
-        depth: of each sample [m], (n,): the body reaches that much farther in every direction.
-    """
-    centred = points - points.mean(axis=0)
-    _, principal = np.linalg.eigh(centred.T @ centred)
-    boxes = []
-    for along in (centred, centred @ principal):
-        boxes.append((along + depth[:, None]).max(axis=0) - (along - depth[:, None]).min(axis=0))
-    return min(boxes, key=lambda extents: float(extents.max()))
-
-
-def fits(extents: NDArray[np.float64], volume: tuple[float, float, float]) -> bool:
-    """Whether a box of these extents fits the printer in one of its six axis orders."""
-    return bool((np.sort(extents) <= np.sort(volume)).all())
+def outline_points(field: Field) -> NDArray[np.float64]:
+    """Points on the surface phi = 0 (n, 3) [m]: the samples just inside it, moved along the gradient by their depth."""
+    near = (field.values > 0) & (field.values <= field.spacing)
+    slopes = [np.asarray(np.gradient(-field.values, axis=a), np.float64)[near] for a in range(3)]
+    normal = np.stack(slopes, axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    return (np.argwhere(near) + field.corner) * field.spacing + field.values[near][:, None] * normal
 
 
 def cut_shaft(field: Field, values: NDArray[np.float32], box: BoxSeat) -> None:
@@ -150,17 +141,6 @@ def cut_shaft(field: Field, values: NDArray[np.float32], box: BoxSeat) -> None:
     if window is not None:
         depth = box_depth(np.stack(np.broadcast_arrays(*field.axes(window)), axis=-1), T, half)
         values[window] = np.minimum(values[window], -depth)
-
-
-def _inside(body: Body, field: Field) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Samples just inside the surface of bone and skin, and how deep each lies."""
-    points, depth = [], []
-    for shape in (field, body.skin):
-        if shape is not None:
-            near = (shape.values > 0) & (shape.values <= shape.spacing)
-            points.append((np.argwhere(near) + shape.corner) * shape.spacing)
-            depth.append(shape.values[near].astype(np.float64))
-    return np.concatenate(points), np.concatenate(depth)
 
 
 def _mm(extents: NDArray[np.float64]) -> str:

@@ -16,6 +16,7 @@ from mfg.scores import cable_score
 
 Array = NDArray[np.float64]
 SAG = 2.5e-4  # how much nearer to a sharp edge a chord may pass than its ends [m]
+CHORD = 0.010  # scale on which the curvature of a cable is measured [m]
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class WireSolver:
         step: between points of a path [m].
         window: length of the moving average [m].
         max_length: longest cable that is worth pulling [m].
-        min_bend: least bend radius of a tunnel, in tunnel radii; a cable cannot be pushed around a tighter corner.
+        max_turn: most that a tunnel may turn within two chords of its curvature, (assumed) from pulling cable through
+            printed tunnels: a right angle passes, a hairpin does not [rad].
     """
 
     clearance: float = 0.0005
@@ -46,7 +48,7 @@ class WireSolver:
     step: float = 0.004
     window: float = 0.032
     max_length: float = 1.5
-    min_bend: float = 1.6
+    max_turn: float = 2.2
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `wires` and the cable score, or a wire failure."""
@@ -70,12 +72,14 @@ class WireSolver:
             if not alone and not compromise:
                 compromise = "shares a channel with an earlier wire"
             bend = curvature(path)
-            if bend * self.min_bend * radius > 1.0:
+            # Two chords that turn by q have the curvature 2 sin(q / 2) / chord.
+            turn = 2 * math.asin(min(1.0, bend * CHORD / 2))
+            if turn > self.max_turn:
                 return Failure(
                     Stage.WIRE,
                     Reason.SHARP_BEND,
-                    f"{name} would bend with a radius of {1e3 / bend:.1f} mm, at least "
-                    f"{1e3 * self.min_bend * radius:.1f} mm is needed",
+                    f"{name} would turn by {math.degrees(turn):.0f} degrees within {2e3 * CHORD:.0f} mm, at most "
+                    f"{math.degrees(self.max_turn):.0f} degrees can a cable be pushed around",
                 )
             sharpest = max(sharpest, bend)
             runs[k] = WireRun(name, k, path, radius)
@@ -146,7 +150,7 @@ def moving_average(path: Array, span: int) -> Array:
     return (total[index + reach + 1] - total[index - reach]) / (2 * reach + 1)[:, None]
 
 
-def curvature(path: Array, chord: float = 0.010) -> float:
+def curvature(path: Array, chord: float = CHORD) -> float:
     """Greatest curvature of a polyline on the scale of `chord` [1/m].
 
     The polyline is resampled evenly; the curvature at a point is that of the circle through it and the points one

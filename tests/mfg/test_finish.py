@@ -284,7 +284,7 @@ def test_two_bodies_in_one_place_end_up_apart(pair: Blueprint) -> None:
 
 def test_too_little_hold_is_a_motor_failure(pair: Blueprint) -> None:
     solver = FinishSolver()
-    failure = replace(solver, motors=replace(solver.motors, min_overlap=1e-3)).solve(pair)
+    failure = replace(solver, min_overlap=1e-3).solve(pair)
     assert isinstance(failure, Failure)
     assert (failure.stage, failure.reason) == (Stage.MOTOR, Reason.NO_OVERLAP)
 

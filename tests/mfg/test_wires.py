@@ -19,7 +19,7 @@ from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.routing import Hardware, Net, merged
 from mfg.solids import Solid, ball_chain, box
-from mfg.wires import WireSolver, curvature, moving_average, resampled
+from mfg.wires import CHORD, WireSolver, curvature, moving_average, resampled
 
 SOLVER = WireSolver()
 MOUNT = mount_of(PAPER.motor)
@@ -118,13 +118,33 @@ def test_a_wire_that_is_too_long_is_a_failure(robot: Blueprint) -> None:
 
 
 def test_a_corner_too_sharp_for_a_cable_is_a_failure(robot: Blueprint, wired: Blueprint) -> None:
-    sharpest = max(curvature(wire.path) for wire in wired.wires)
-    tight = 1.0 / (sharpest * RADIUS)  # In tunnel radii: the bend that this robot needs.
-    assert isinstance(replace(SOLVER, min_bend=0.99 * tight).solve(robot), Blueprint)
-    answer = replace(SOLVER, min_bend=1.01 * tight).solve(robot)
+    sharpest = max(turned(wire.path) for wire in wired.wires)
+    assert isinstance(replace(SOLVER, max_turn=1.01 * sharpest).solve(robot), Blueprint)
+    answer = replace(SOLVER, max_turn=0.99 * sharpest).solve(robot)
     assert isinstance(answer, Failure)
     assert (answer.stage, answer.reason) == (Stage.WIRE, Reason.SHARP_BEND)
-    assert "is needed" in answer.detail
+    assert "degrees within 20 mm" in answer.detail
+
+
+@pytest.mark.parametrize("turn", [0.3, 1.0, np.pi / 2])
+def test_a_kink_is_measured_by_its_angle(turn: float) -> None:
+    assert turned(kink(turn)) == pytest.approx(turn, rel=0.03)
+
+
+def test_a_right_angle_passes_and_a_hairpin_does_not() -> None:
+    arc = np.linspace(0, np.pi, 60)
+    assert turned(kink(np.pi / 2)) < SOLVER.max_turn < turned(kink(2.6))
+    assert turned(0.012 * np.stack([np.cos(arc), np.sin(arc), 0 * arc], axis=1)) == pytest.approx(0.85, abs=0.05)
+
+
+def kink(turn: float) -> np.ndarray:
+    """Two straight legs of 100 mm."""
+    return np.array([[-0.1, 0, 0], [0, 0, 0], [0.1 * np.cos(turn), 0.1 * np.sin(turn), 0]])
+
+
+def turned(path: np.ndarray) -> float:
+    """Angle between two chords, from the curvature."""
+    return float(2 * np.arcsin(min(1.0, curvature(path) * CHORD / 2)))
 
 
 def test_wires_may_share_a_channel_and_say_so(robot: Blueprint) -> None:
