@@ -20,12 +20,11 @@ REASONS: dict[str, str] = {
     Reason.TOO_THIN: "A rigid segment is so thin that nothing of it is left to print.",
     Reason.NO_MOTION: "A hinge cannot turn far enough before the bodies beside it touch.",
     Reason.NO_OVERLAP: "A body is too far from its hinge, or too slight there, to hold the motor or its output.",
-    Reason.MOTOR_COLLISION: "A motor would sit inside another motor, or inside a body that it does not belong to.",
+    Reason.MOTOR_COLLISION: "A motor would sit inside another motor.",
     Reason.BONE_SEVERED: "Making room for the motor would cut a rigid body in pieces.",
     Reason.NO_ROOM: "No rigid body is large enough inside for the battery or the controller box.",
     Reason.NO_ROUTE: "No cable tunnel leads from some motor to the controller within the rigid bodies.",
-    Reason.SHARP_BEND: "A cable tunnel would bend tighter than a cable can be pushed through.",
-    Reason.SHARP_BEND: "A cable tunnel bends more tightly than the cable can follow.",
+    Reason.SHARP_BEND: "A cable tunnel turns too sharply for a cable to be pushed around.",
     Reason.TOO_LARGE: "A part does not fit the printer in any orientation.",
     Reason.NOT_WATERTIGHT: "A part is not one closed solid, so a slicer would guess what is inside.",
     Reason.OVERLAP: "Two parts claim the same space.",
@@ -36,7 +35,11 @@ REASONS: dict[str, str] = {
 # Column of the run file, name, meaning; in the paper's order.
 SCORES: tuple[tuple[str, str, str], ...] = (
     ("motor", "motor", "How firmly and evenly both bodies hold every motor."),
-    ("electronics", "electronics", "How much room the roomiest body leaves inside; less if it is hard to print."),
+    (
+        "electronics",
+        "electronics",
+        "How much room the body that hosts the electronics has inside; less if it is hard to print.",
+    ),
     ("cable", "cable", "Short cables without sharp bends."),
     ("electronics_install", "electronics installation", "Free space above the boxes, so that a hand can put them in."),
     ("body_install", "body installation", "Rigid bodies do not share space once the motors are in."),

@@ -77,10 +77,6 @@ class Field:
         """A field on the same samples."""
         return Field(np.ascontiguousarray(values, np.float32), self.corner, self.spacing)
 
-    def cut(self, other: NDArray[np.float32], gap: float = 0.0) -> Field:
-        """Remove where `other` (depths on the same samples) exceeds -gap."""
-        return self.with_values(np.minimum(self.values, -other - np.float32(gap)))
-
     def on_lattice_of(self, other: Field) -> NDArray[np.float32]:
         """This field's values at the samples of `other` (same spacing), `OUTSIDE` where it has none."""
         out = np.full(other.values.shape, OUTSIDE, np.float32)

@@ -113,27 +113,15 @@ def connector(mount: Mount) -> Solid:
 
 
 @lru_cache(maxsize=8)
-def holder_keepout(mount: Mount, reach: float = 0.0) -> Solid:
-    """What the connector's body must leave free: the holder with its running gap, and access to the base screws.
-
-    Args:
-        mount: the mount.
-        reach: how far below the base plate the screwdriver must have free access [m].
-    """
-    room = cylinder(mount.holder_radius + mount.clearance, mount.base_low - mount.clearance, mount.connector_low)
-    return room if reach <= 0 else room + cylinder(mount.cavity_radius, mount.base_low - reach, mount.housing_low)
+def holder_keepout(mount: Mount) -> Solid:
+    """What the connector's body must leave free: the holder with its running gap."""
+    return cylinder(mount.holder_radius + mount.clearance, mount.base_low - mount.clearance, mount.connector_low)
 
 
 @lru_cache(maxsize=8)
-def connector_keepout(mount: Mount, reach: float = 0.0) -> Solid:
-    """What the holder's body must leave free: the turning connector, and the shaft by which the motor is inserted.
-
-    Args:
-        mount: the mount.
-        reach: length of the insertion shaft above the connector [m].
-    """
-    room = cylinder(mount.connector_radius + mount.clearance, mount.holder_top, mount.connector_high + mount.clearance)
-    return room if reach <= 0 else room + cylinder(mount.cavity_radius, mount.holder_top, mount.connector_high + reach)
+def connector_keepout(mount: Mount) -> Solid:
+    """What the holder's body must leave free: the turning connector with its running gap."""
+    return cylinder(mount.connector_radius + mount.clearance, mount.holder_top, mount.connector_high + mount.clearance)
 
 
 @lru_cache(maxsize=8)
@@ -160,20 +148,6 @@ def envelope_depth(
     """Depth inside the envelope grown by `gap`, at points (..., 3) of the design frame [m]."""
     radial, along = _about(points, T_design_motor)
     return np.maximum(cup_depth(radial, along, mount), disc_depth(radial, along, mount)) + np.float32(gap)
-
-
-def holder_depth(
-    points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
-) -> NDArray[np.float32]:
-    """Depth inside the filled cup (housing included) grown by `gap`, at points of the design frame [m]."""
-    return cup_depth(*_about(points, T_design_motor), mount) + np.float32(gap)
-
-
-def connector_depth(
-    points: NDArray[np.float64], T_design_motor: NDArray[np.float64], mount: Mount, gap: float = 0.0
-) -> NDArray[np.float32]:
-    """Depth inside the connector disc grown by `gap`, at points of the design frame [m]."""
-    return disc_depth(*_about(points, T_design_motor), mount) + np.float32(gap)
 
 
 def cup_depth(radial: NDArray[np.float32], along: NDArray[np.float32], mount: Mount) -> NDArray[np.float32]:
