@@ -95,9 +95,10 @@ def _shapes(model: Model) -> list[tuple[int, Shape]]:
     seen = [mesh for mesh in meshes if not mesh.touches] or meshes
     shapes = []
     for mesh in seen:
-        *colour, alpha = PALETTE[(mesh.body - 1) % len(PALETTE)] + (1.0,) if _is_plain(mesh.colour) else mesh.colour
+        # Skins are drawn opaque: the robot as it stands there, and several times faster than looking through them.
+        *colour, _ = PALETTE[(mesh.body - 1) % len(PALETTE)] + (1.0,) if _is_plain(mesh.colour) else mesh.colour
         r, g, b = colour
-        shapes.append((mesh.geom, Shape(mesh.vertices, mesh.triangles, (r, g, b), alpha)))
+        shapes.append((mesh.geom, Shape(mesh.vertices, mesh.triangles, (r, g, b))))
     return shapes
 
 
