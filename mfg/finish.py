@@ -21,7 +21,7 @@ from mfg.exact import (
     tunnel,
 )
 from mfg.fields import Field
-from mfg.masses import body_masses
+from mfg.masses import body_masses, volume_moments
 from mfg.motors import MotorSolver
 from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage
@@ -35,7 +35,7 @@ from mfg.scores import (
     oriented_extents,
     size_penalty,
 )
-from mfg.solids import Solid, ball_chain, from_field, union
+from mfg.solids import Solid, ball_chain, from_field, surface, union
 from mfg.stl import MM_PER_M, torn_edges, welded
 
 PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
@@ -159,7 +159,8 @@ class FinishSolver:
         if body.skin is None:
             return parts, notes
         soft = soft_region(body.skin, body.bone, self.min_skin)
-        if not (soft.values > 0).any():
+        # A film thinner than the tolerance would be thinned to nothing, which is no solid.
+        if not (soft.values > 0).any() or volume_moments(*surface(soft)).mass < self.min_piece:
             return parts, notes
         # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice.
         skin = (from_field(soft, self.tolerance) - bone - (room + mounts)).minus(tunnels)

@@ -322,3 +322,16 @@ def test_the_soft_region_is_nowhere_thinner_than_asked() -> None:
     assert soft.bounds[0, 0] > 0.3 - 0.04 - SPACING / 2
     assert outer.any()
     assert len(soft.components()) == 1
+
+
+def test_a_film_of_skin_is_no_part(pair: Blueprint, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thinning its triangles leaves nothing, which must not pass for a bug."""
+    body = pair.bodies[0]
+    film = body.bone.with_values(np.full_like(body.bone.values, -SPACING))
+    film.values[5, 5, 5] = 1e-5
+    with pytest.raises(ValueError, match="volume 0"):
+        from_field(film, FinishSolver().tolerance)
+    monkeypatch.setattr("mfg.finish.soft_region", lambda *_: film)
+    made = FinishSolver().solve(replace(pair, bodies=(replace(body, skin=body.bone), pair.bodies[1])))
+    assert isinstance(made, Blueprint)
+    assert [part.name for part in made.parts] == ["body_0_bone", "body_1_bone"]
