@@ -16,21 +16,25 @@ from mfg.outcome import Failure, Reason, Stage
 from mfg.solids import Solid, ball_chain, box, cylinder, tube, union
 
 REAMED = 5e-4  # by which the exact joint cylinder exceeds the one on the field, whose error is less [m]
-ACCESS = 0.035  # free length above the connector and below the base plate, for a motor and a screwdriver [m]
+ACCESS = 0.035  # free length above the connector and below the base plate, for a screwdriver [m]
+LIFT = 2e-3  # by which a motor must be able to rise beyond the rim of its cup [m]
 STRAIGHT = 1e-4  # by which a tunnel may cut the corners of its path [m]
 FACETS = 8  # around a tunnel: its least radius is 8 % short, less than the gap between cable and wall
 ROUND = 96  # sides of a cylinder whose volume is measured: its area is 0.07 % short
 SAMPLED = 6e-3  # edge of the surface pieces by which a distance is measured: 40 mm comes out 0.15 mm larger [m]
 
 
-def core(mount: Mount, offset: float, half_length: float) -> Solid:
+def core(mount: Mount, offset: float, half_length: float, *, way_in: bool = False) -> Solid:
     """The bone processor's cylinder about the joint axis, in the frame of a motor at `offset` along it [m].
 
     It is at least long enough to leave access to the screws of both mounts, and a little wider than what the processor
-    cut on the field: surfaces that nearly coincide would cross everywhere.
+    cut on the field: surfaces that nearly coincide would cross everywhere. With `way_in`, for the body that holds the
+    motor, the whole motor also fits above its cup: that is how it gets in, before the connector is screwed on.
     """
     low = min(-half_length - offset, mount.base_low - ACCESS)
     high = max(half_length - offset, mount.connector_high + ACCESS)
+    if way_in:
+        high = max(high, mount.holder_top + mount.motor.length + LIFT)
     return cylinder(mount.attach_radius + REAMED, low, high)
 
 

@@ -173,7 +173,7 @@ class FinishSolver:
         room = []
         for seat in blueprint.seats:
             if index == seat.holder:
-                cuts = [connector_keepout(mount), core(mount, seat.offset, self.cut_half_length)]
+                cuts = [connector_keepout(mount), core(mount, seat.offset, self.cut_half_length, way_in=True)]
             elif index == seat.connector:
                 cuts = [holder_keepout(mount), core(mount, seat.offset, self.cut_half_length)]
             else:

@@ -109,6 +109,42 @@ def test_screws_and_screwdrivers_find_their_way(built: Outcome) -> None:
                 assert all(part.solid.overlap(way) < 1e-9 for part in blueprint.parts)
 
 
+def assert_motors_slide_in(blueprint: Blueprint) -> None:
+    for seat in blueprint.seats:
+        own = [part.solid for part in blueprint.parts if part.body == seat.holder]
+        for height in np.linspace(0.0, MOUNT.holder_top - MOUNT.housing_low, 8):  # at the top it is out of its cup
+            lifted = replace(seat, T_design_motor=seat.T_design_motor @ placed(0, 0, height))
+            motor = motor_solid(blueprint, lifted)
+            assert all(motor.overlap(solid) <= TOUCH for solid in own), (seat.hinge, height)
+
+
+def test_a_motor_can_be_slid_into_its_holder(built: Outcome) -> None:
+    assert_motors_slide_in(built.blueprint)
+
+
+@pytest.mark.parametrize("lid", [0.075, 0.085])
+def test_a_lid_of_the_holders_own_bone_is_opened_for_the_motor(lid: float) -> None:
+    """The lid begins within what the motor needs above its cup; only a bone processor that cut less leaves it."""
+    axis, centre = np.array([0.0, 1.0, 0.0]), np.array([0.3, 0.3, 0.3])
+
+    def depth(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        side = np.minimum(0.06 - np.abs(p[..., 0] - 0.239), 0.05 - np.abs(p[..., 2] - 0.3))
+        side = np.minimum(side, 0.105 - np.abs(p[..., 1] - 0.3))
+        over = np.minimum(0.12 - np.abs(p[..., 0] - 0.299), 0.05 - np.abs(p[..., 2] - 0.3))
+        over = np.minimum(over, np.minimum(p[..., 1] - 0.3 - lid, 0.405 - p[..., 1]))
+        radial = np.hypot(p[..., 0] - 0.3, p[..., 2] - 0.3)
+        return np.maximum(np.minimum(side, radial - MOUNT.attach_radius), over)
+
+    holder = sampled(depth, (0.17, 0.19, 0.24), (0.43, 0.41, 0.36))
+    other = box_bone((0.361, 0.33, 0.3), (0.05, 0.06, 0.05))
+    blueprint = blueprint_of([holder, other], [(0, 1, centre, axis)])
+    finished = FinishSolver().solve(blueprint)
+    assert isinstance(finished, Blueprint), str(finished)
+    lifted = replace(blueprint.seats[0], T_design_motor=blueprint.seats[0].T_design_motor @ placed(0, 0, 0.06))
+    assert motor_solid(blueprint, lifted).overlap(from_field(holder)) > 1e-6  # it was in the way
+    assert_motors_slide_in(finished)
+
+
 def test_a_box_can_be_lowered_into_its_body(built: Outcome) -> None:
     blueprint = built.blueprint
     for seat in blueprint.boxes:
