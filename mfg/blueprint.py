@@ -27,7 +27,7 @@ class Tree:
         segments: segment id of each body; body 0 is the root and a parent always comes before its children.
         parent: body index of each body's parent, -1 for the root.
         joint: index into `design.joints` of the joint that holds each body, -1 for the root.
-        flipped: True where the design's joint names this body as the *parent*: axis and range turn sign.
+        flipped: True where the design's joint names this body as the *parent*: the axis turns sign, the range does not.
     """
 
     segments: tuple[int, ...]

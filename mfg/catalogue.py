@@ -128,3 +128,4 @@ class Catalogue:
     rigid: Filament
     soft: Filament
     printer: Printer
+    joint_encoder: Device  # measures a joint's angle on the output side, one per joint

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from mfg.addresses import can_address, turn_sign
 from mfg.blueprint import Blueprint, Transform
 from mfg.catalogue import Motor
 from mfg.masses import body_masses
@@ -51,6 +52,8 @@ class DescribedJoint:
         axis: unit vector in the link frame, (3,); the link turns about it by the right-hand rule.
         range: least and greatest angle [rad], (2,); 0 is the pose at rest.
         motor: what drives it.
+        can_id: of that motor on its bus, 1 to 15.
+        sign: +1, or -1 where the motor turns against the joint because the moved link carries its housing.
     """
 
     name: str
@@ -58,6 +61,8 @@ class DescribedJoint:
     axis: NDArray[np.float64]
     range: NDArray[np.float64]
     motor: Motor
+    can_id: int
+    sign: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -116,9 +121,12 @@ def describe(blueprint: Blueprint) -> Description:
             hull=thinned(_surface_points(blueprint, index)) - origin,
         ))  # fmt: skip
     joints = tuple(
-        DescribedJoint(hinge.name, hinge.body, hinge.axis, hinge.range, blueprint.catalogue.motor)
-        for hinge in blueprint.hinges
-    )
+        DescribedJoint(
+            hinge.name, hinge.body, hinge.axis, hinge.range, blueprint.catalogue.motor, can_address(index)[1],
+            turn_sign(blueprint, blueprint.seats[index]) if blueprint.seats else 1,
+        )
+        for index, hinge in enumerate(blueprint.hinges)
+    )  # fmt: skip
     imu_link, T_link_imu = 0, np.eye(4)
     if blueprint.boxes:
         seat = blueprint.box("controller")

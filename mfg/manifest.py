@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mfg.addresses import MAX_BUS, can_address, turn_sign
 from mfg.blueprint import Blueprint, PrintedPart
 from mfg.catalogue import Motor, ScrewPattern
 from mfg.description import DescribedJoint, Description, Link
@@ -19,7 +20,6 @@ from mfg.masses import printed_moments
 from mfg.outcome import Scores
 from mfg.plate import Lay
 from mfg.stl import welded
-from mfg.tables import can_address, turn_sign
 
 FORMAT = "bodyplan-blueprint"
 VERSION = 1
@@ -95,7 +95,7 @@ def robot_json(description: Description) -> dict[str, Any]:
         ],
         "joints": [
             {"name": joint.name, "link": joint.link, "axis": joint.axis.tolist(), "range": joint.range.tolist(),
-             "motor": asdict(joint.motor)}
+             "motor": asdict(joint.motor), "can_id": joint.can_id, "sign": joint.sign}
             for joint in description.joints
         ],
     }  # fmt: skip
@@ -128,8 +128,11 @@ def read_description(path: Path | str) -> Description:
         ManifestError: if the manifest is damaged or lacks something.
         OSError: if it cannot be read.
     """
-    robot: Any = read_manifest(path).get("robot")
+    document = read_manifest(path)
+    robot: Any = document.get("robot")
     try:
+        # Older files say the motors' addresses and signs here only.
+        built = {joint["name"]: joint for joint in document["joints"]}
         links = tuple(
             Link(str(link["name"]), int(link["parent"]), _array(link["T"], 3), _finite(link["mass"]),
                  _array(link["com"], 3), _array(link["inertia"], 3, 3), _array(link["hull"], -1, 3))
@@ -137,7 +140,7 @@ def read_description(path: Path | str) -> Description:
         )  # fmt: skip
         joints = tuple(
             DescribedJoint(str(joint["name"]), int(joint["link"]), _array(joint["axis"], 3), _array(joint["range"], 2),
-                           _motor(joint["motor"]))
+                           _motor(joint["motor"]), *_drive({**built.get(joint["name"], {}), **joint}))
             for joint in robot["joints"]
         )  # fmt: skip
         if not links or any(not -1 <= link.parent < index for index, link in enumerate(links)):
@@ -211,6 +214,14 @@ def _part(blueprint: Blueprint, part: PrintedPart) -> dict[str, Any]:
 def _motor(fields: dict[str, Any]) -> Motor:
     patterns = {name: ScrewPattern(**fields[name]) for name in ("body_screws", "output_screws")}
     return Motor(**{**fields, **patterns})
+
+
+def _drive(joint: dict[str, Any]) -> tuple[int, int]:
+    """(CAN id, sign) of a joint's motor."""
+    can_id, sign = joint["can_id"], joint["sign"]
+    if type(can_id) is not int or type(sign) is not int or sign not in (-1, 1) or not 1 <= can_id <= MAX_BUS:
+        raise ValueError(f"{joint['name']} has CAN id {can_id!r} and sign {sign!r}, not 1..{MAX_BUS} and -1 or 1")
+    return can_id, sign
 
 
 def _array(value: Any, *shape: int) -> np.ndarray:

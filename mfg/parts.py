@@ -31,6 +31,9 @@ NANOPI_NEO_AIR = Device("NanoPi NEO Air", (0.040, 0.040, 0.012), 0.0097, "vendor
 CANABLE_PRO = Device("Makerbase CANable Pro", (0.050, 0.016, 0.010), 0.010, "board drawing V1.0; mass (assumed)")
 BNO086 = Device("BNO086 IMU breakout", (0.0254, 0.0305, 0.005), 0.003, "breakout size (assumed)")
 RS485 = Device("USB-RS485 adapter", (0.045, 0.018, 0.008), 0.008, "(assumed)")
+JOINT_ENCODER = Device(
+    "RS485 positional encoder", (0.020, 0.020, 0.006), 0.008, "paper: RS485, one per joint; the rest (assumed)"
+)
 REGULATOR = Device("5 V 3 A buck regulator", (0.022, 0.017, 0.008), 0.005, "(assumed)")
 
 PAPER_COMPUTER = Computer(
@@ -57,4 +60,4 @@ H2D = Printer(
     source="BambuStudio machine profile: the volume that both nozzles reach; paper: interlock 0.63 mm",
 )
 
-PAPER = Catalogue("paper", J60_6, PAPER_COMPUTER, BATTERY_6S, CABLE, PLA, TPU_90A, H2D)
+PAPER = Catalogue("paper", J60_6, PAPER_COMPUTER, BATTERY_6S, CABLE, PLA, TPU_90A, H2D, JOINT_ENCODER)

@@ -6,14 +6,13 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from mfg.blueprint import Blueprint, MotorSeat
+from mfg.addresses import can_address, turn_sign
+from mfg.blueprint import Blueprint
 from mfg.masses import printed_moments
-
-MAX_BUS = 15  # motors on one CAN bus: the J60's id has 4 bits, and 0 addresses no motor
 
 
 def bill_of_materials(blueprint: Blueprint) -> str:
-    """CSV: one line per kind of component, then one per filament; masses in grams."""
+    """CSV: one line per kind of component, then one per filament; masses in grams, empty where not in the model."""
     catalogue, motors = blueprint.catalogue, len(blueprint.seats)
     motor = catalogue.motor
     rows: list[Sequence[object]] = [
@@ -21,8 +20,10 @@ def bill_of_materials(blueprint: Blueprint) -> str:
         ("battery", catalogue.battery.name, 1, "pcs", _grams(catalogue.battery.mass), catalogue.battery.source),
     ]
     rows += [("electronics", d.name, 1, "pcs", _grams(d.mass), d.source) for d in catalogue.computer.devices]
+    encoder = catalogue.joint_encoder
+    rows.append(("encoder", encoder.name, motors, "pcs", "", f"1 per joint, {encoder.source}; not in the mass model"))
     for pattern, use in ((motor.body_screws, "motor to holder"), (motor.output_screws, "motor to connector")):
-        rows.append(("screw", pattern.screw, pattern.count * motors, "pcs", "", use))
+        rows.append(("screw", pattern.screw, pattern.count * motors, "pcs", "", f"{pattern.count} per joint, {use}"))
     length = sum(wire.length for wire in blueprint.wires)
     mass = catalogue.wire.mass_per_metre * length
     rows.append(("cable", catalogue.wire.name, f"{length:.2f}", "m", _grams(mass), catalogue.wire.source))
@@ -48,16 +49,6 @@ def wiring_table(blueprint: Blueprint) -> str:
         rows.append((wire.name, "controller", hinge.name, f"{1e3 * wire.length:.0f}", *address, *mates))
     header = ("wire", "from", "to", "length_mm", "bus", "can_id", "sign", "motor_held_by", "output_screwed_to")
     return _csv(header, rows)
-
-
-def can_address(seat: int) -> tuple[str, int]:
-    """(bus, id) of the motor in `blueprint.seats[seat]`: ids count from 1, and each bus takes 15 motors."""
-    return f"can{seat // MAX_BUS}", seat % MAX_BUS + 1
-
-
-def turn_sign(blueprint: Blueprint, seat: MotorSeat) -> int:
-    """+1 where the motor's output turns the child, -1 where it is the housing that the child carries."""
-    return 1 if seat.connector == blueprint.hinges[seat.hinge].body else -1
 
 
 def _grams(mass: float) -> str:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -75,6 +77,17 @@ def test_virtual_and_built_robot_share_their_skeleton(built: Outcome) -> None:
     assert_allclose(a.origins()[1:], b.origins()[1:], atol=1e-12)
     assert_allclose([j.axis for j in a.joints], [j.axis for j in b.joints], atol=1e-12)
     assert_allclose(a.mass, b.mass, rtol=0.25)
+
+
+def test_signs_and_ids_are_those_of_the_seats(built: Outcome) -> None:
+    blueprint = built.blueprint
+    seat = blueprint.seats[1]
+    seats = (blueprint.seats[0], replace(seat, holder=seat.connector, connector=seat.holder))
+    ours, turned = describe(blueprint).joints, describe(replace(blueprint, seats=seats)).joints
+    assert [joint.can_id for joint in turned] == [1, 2]
+    assert (turned[0].sign, turned[1].sign) == (ours[0].sign, -ours[1].sign)
+    drawn = describe(virtual(built.design).blueprint).joints
+    assert [(joint.can_id, joint.sign) for joint in drawn] == [(1, 1), (2, 1)]
 
 
 def test_a_blueprint_without_bodies_cannot_be_described(creature: VoxelDesign) -> None:

@@ -34,7 +34,7 @@ def test_the_robot_is_read_back_to_the_last_bit(path: Path, built: Outcome) -> N
         for name in ("T", "com", "inertia", "hull"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
     for a, b in zip(ours.joints, theirs.joints, strict=True):
-        assert (a.name, a.link, a.motor) == (b.name, b.link, b.motor)
+        assert (a.name, a.link, a.motor, a.can_id, a.sign) == (b.name, b.link, b.motor, b.can_id, b.sign)
         assert np.array_equal(a.axis, b.axis)
         assert np.array_equal(a.range, b.range)
 
@@ -62,6 +62,8 @@ def test_the_manifest_says_what_was_built(content: bytes, built: Outcome) -> Non
         (lambda d: d["robot"]["joints"][0]["motor"].pop("mass"), "incomplete or malformed"),
         (lambda d: d["robot"].update(links=[]), "earlier links"),
         (lambda d: d["robot"].update(imu_link=7), "does not exist"),
+        (lambda d: d["robot"]["joints"][0].update(sign=0), "sign 0"),
+        (lambda d: d["robot"]["joints"][0].update(can_id=16), "CAN id 16"),
     ],
 )
 def test_a_spoiled_manifest_is_refused_in_one_line(path: Path, edit, message: str) -> None:
@@ -72,6 +74,15 @@ def test_a_spoiled_manifest_is_refused_in_one_line(path: Path, edit, message: st
         read_description(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_older_manifest_still_tells_which_way_motors_turn(path: Path) -> None:
+    document = json.loads(path.read_bytes())
+    for joint, old in zip(document["joints"], document["robot"]["joints"], strict=True):
+        del old["sign"], old["can_id"]
+        joint["sign"] = -1
+    path.write_text(json.dumps(document))
+    assert [(joint.can_id, joint.sign) for joint in read_description(path).joints] == [(1, -1), (2, -1)]
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[]", b"\xff\xfe", b'{"format": NaN}'])

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
+from mfg.addresses import MAX_BUS, can_address, turn_sign
 from mfg.masses import body_masses
 from mfg.pipeline import Outcome
-from mfg.tables import MAX_BUS, bill_of_materials, can_address, turn_sign, wiring_table
+from mfg.tables import bill_of_materials, wiring_table
 
 
 def rows(text: str) -> list[dict[str, str]]:
@@ -26,6 +27,15 @@ def test_every_motor_brings_its_screws(built: Outcome) -> None:
     assert table[motor.name]["quantity"] == str(count)
     assert table[motor.body_screws.screw]["quantity"] == str(count * motor.body_screws.count)
     assert table[motor.output_screws.screw]["quantity"] == str(count * motor.output_screws.count)
+    assert table[motor.body_screws.screw]["note"] == f"{motor.body_screws.count} per joint, motor to holder"
+
+
+def test_every_joint_has_an_encoder_that_weighs_nothing_in_the_model(built: Outcome) -> None:
+    blueprint = built.blueprint
+    (row,) = [row for row in rows(bill_of_materials(blueprint)) if row["kind"] == "encoder"]
+    assert (row["item"], row["quantity"]) == (blueprint.catalogue.joint_encoder.name, str(len(blueprint.seats)))
+    assert row["mass_g"] == ""
+    assert "(assumed); not in the mass model" in row["note"]
 
 
 def test_every_motor_has_one_cable_and_one_address(built: Outcome) -> None:

@@ -38,7 +38,8 @@ def quadruped() -> Description:
     joints = []
     for index, (x, y) in enumerate(LEGS, start=1):
         links.append(box(f"leg_{index}", 0, (x, y, 0.0), 0.4, (0.06, 0.06, 0.18), (0.0, 0.0, -0.07)))
-        joints.append(DescribedJoint(f"joint_{index}", index, np.array([0.0, 1.0, 0.0]), np.array([-0.9, 1.1]), J60_6))
+        axis, limits = np.array([0.0, 1.0, 0.0]), np.array([-0.9, 1.1])
+        joints.append(DescribedJoint(f"joint_{index}", index, axis, limits, J60_6, index, 1))
     return Description("quadruped", tuple(links), tuple(joints), 0, T_link_imu, "blueprint", 0.16)
 
 
@@ -47,5 +48,5 @@ def pendulum() -> Description:
     """A bob on a light rod under a root so heavy that it stays where it is while both fall or float."""
     root = replace(box("root", -1, (0.0, 0.0, 0.0), 1e9, (0.1, 0.1, 0.1)), inertia=1e9 * np.eye(3))
     rod = box("rod", 0, (0.0, 0.0, 0.0), 0.5, (0.02, 0.02, 0.3), (0.0, 0.0, -0.15))
-    joint = DescribedJoint("swing", 1, np.array([0.0, 1.0, 0.0]), np.array([-3.0, 3.0]), J60_6)
+    joint = DescribedJoint("swing", 1, np.array([0.0, 1.0, 0.0]), np.array([-3.0, 3.0]), J60_6, 1, 1)
     return Description("pendulum", (root, rod), (joint,), 0, np.eye(4), "design", 1.0)
