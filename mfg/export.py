@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +43,7 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
         folder: target; an older blueprint there is replaced.
 
     Returns:
-        The folder.
+        The folder, as an absolute path.
 
     Raises:
         ValueError: if the design cannot be built or was only scored.
@@ -51,8 +52,9 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     """
     if outcome.failure is not None:
         raise ValueError(f"design {outcome.design.key} cannot be built: {outcome.failure}")
-    folder = Path(folder)
+    folder = Path(folder).resolve()
     _check_target(folder)
+    _sweep(folder)
     files = blueprint_files(outcome.blueprint)
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -63,8 +65,14 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
             target.write_bytes(content)
         if folder.exists():
             old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
-            folder.rename(old)
-            partial.rename(folder)
+            if Path.cwd().is_relative_to(folder):
+                # Someone stands in it: the folder itself must stay where it is.
+                old.mkdir()
+                _move_content(folder, old)
+                _move_content(partial, folder)
+            else:
+                folder.rename(old)
+                partial.rename(folder)
             shutil.rmtree(old)
         else:
             partial.rename(folder)
@@ -194,6 +202,34 @@ def print_settings(blueprint: Blueprint, lays: list[Lay]) -> str:
 
 def _filament(catalogue: Catalogue, part: PrintedPart) -> Filament:
     return catalogue.rigid if part.material == "rigid" else catalogue.soft
+
+
+def _move_content(source: Path, target: Path) -> None:
+    """Move everything in a folder, its manifest last: a folder that has one is complete."""
+    for path in sorted(source.iterdir(), key=lambda path: path.name == NAME):
+        path.rename(target / path.name)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what exports to this folder left beside it when they were killed."""
+    made = re.compile(rf"\.{re.escape(folder.name)}\.(\d+)\.(partial|old)")
+    for path in folder.parent.iterdir() if folder.parent.is_dir() else ():
+        match = made.fullmatch(path.name)
+        if match and not _is_at_work(int(match[1])):
+            shutil.rmtree(path)
+
+
+def _is_at_work(process: int) -> bool:
+    """Whether another process than this one has this id."""
+    if process == os.getpid():
+        return False
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def _check_target(folder: Path) -> None:

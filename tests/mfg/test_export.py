@@ -81,6 +81,37 @@ def test_an_older_blueprint_is_replaced_whole(built: Outcome, tmp_path: Path) ->
     assert changed_files(folder) == []
 
 
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("older", [False, True])
+def test_the_folder_one_stands_in_is_filled_and_stays_the_same_folder(
+    built: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, older: bool
+) -> None:
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    if older:
+        write_blueprint(built, folder)
+        (folder / "parts" / "stale.stl").write_bytes(b"")
+    before = folder.stat().st_ino
+    monkeypatch.chdir(folder)
+    assert write_blueprint(built, Path()) == folder.resolve()
+    assert folder.stat().st_ino == before
+    assert changed_files(Path()) == []
+    assert not Path("parts", "stale.stl").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["robot"]
+
+
+@pytest.mark.usefixtures("quick")
+def test_what_a_killed_export_left_is_removed_and_what_another_makes_is_not(built: Outcome, tmp_path: Path) -> None:
+    gone, alive = 2**22 + 1, os.getppid()  # beyond the greatest process id there is; the process that started us
+    names = [f".robot.{process}.{end}" for process in (gone, alive) for end in ("partial", "old")]
+    for name in (*names, f".other.{gone}.partial", f".robot.{gone}.partial.txt"):
+        (tmp_path / name / "parts").mkdir(parents=True)
+    write_blueprint(built, tmp_path / "robot")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "robot", *names[2:], f".other.{gone}.partial", f".robot.{gone}.partial.txt"
+    }  # fmt: skip
+
+
 def test_a_folder_with_other_things_in_it_is_left_alone(built: Outcome, tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(FileExistsError, match=f"holds no {NAME}"):
