@@ -213,7 +213,7 @@ def overlaps(blueprint: Blueprint, solids: dict[str, Solid]) -> list[str]:
     pairs = list(itertools.combinations(hardware.items(), 2))
     pairs += list(itertools.product(hardware.items(), tunnels.items()))
     pairs += [pair for pair in itertools.combinations(tunnels.items(), 2)
-              if not any(name in note for note in shared for name, _ in pair)]  # fmt: skip
+              if not any(name in note.split() for note in shared for name, _ in pair)]  # fmt: skip
     pairs += list(itertools.product(solids.items(), hardware.items()))
     pairs += list(itertools.product(solids.items(), tunnels.items()))
     body = {part.name: part.body for part in blueprint.parts}
