@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import signal
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
     from sim.plant import Plant
 
 HELP = "run a policy bundle on a robot's motors, or rehearse it on simulated ones"
+STORY = (
+    "A robot is refused if a joint measures outside its range: then a motor's zero is not set. Ctrl-C brakes, switches "
+    "off and still reports. Exit status: 0 the policy drove to its end (or the zeros are set), 1 a guard or Ctrl-C "
+    "stopped it before, 2 bad input or a bus or motor that does not answer as it should. No run can be resumed."
+)
 VIRTUAL = "virtual"
 BUSES = ("socketcan:can0", "slcan:/dev/ttyACM0")
 CONTROL_PERIOD = 0.02  # [s]
@@ -28,38 +34,48 @@ CONTROL_PERIOD = 0.02  # [s]
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
+    parser.description = f"{HELP}. {STORY}"
     parser.add_argument("bundle", metavar="BUNDLE", type=Path, help="folder of a policy bundle")
     parser.add_argument("--bus", default=VIRTUAL, help=f"{VIRTUAL} (default), {' or '.join(BUSES)}")
     parser.add_argument("--dry-run", action="store_true", help="rehearse in simulated time, as fast as possible")
     parser.add_argument("--seconds", type=_seconds, default=10.0, help="how long the policy drives (default 10)")
+    parser.add_argument(
+        "--set-home",
+        action="store_true",
+        help="drive nothing, make the present pose the zero of all joints: switch the power on, hold the robot "
+        "in its painted pose (as in assembly.glb), and keep holding; the motors go limp and store the zero",
+    )
     parser.add_argument("--log", type=Path, help="write all frames here (candump form), all periods to LOG.jsonl")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run the robot; exit status 1 if a guard stopped it."""
-    from hardware.bus import RealClock, open_port
-    from sim.actor import load_bundle
-
+    """Run the robot, or set its zeros; exit status 1 if a guard or Ctrl-C stopped it."""
     if args.bus != VIRTUAL and args.bus.partition(":")[0] not in ("socketcan", "slcan"):
         raise BadInput(f"unknown bus {args.bus!r}; give {VIRTUAL}, {' or '.join(BUSES)}")
     if args.dry_run and args.bus != VIRTUAL:
         raise BadInput(f"--dry-run moves nothing real, so it needs --bus {VIRTUAL}, not {args.bus}")
-    bundle = load_bundle(args.bundle)
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(_stop_on_signals())
-        if args.bus == VIRTUAL:
-            result = _rehearse(args.bundle, bundle, args.seconds, args.log, lock_step=args.dry_run)
-        else:
-            port = open_port(args.bus)
-            stack.callback(port.close)
-            say("no IMU is connected: the tilt guard is off; keep a hand on the power switch")
-            result = _run(bundle, args.seconds, args.log, port, RealClock())
+    if args.set_home and args.log is not None:
+        raise BadInput("--set-home drives nothing, so there is no run to --log; give one of the two")
+    try:
+        from sim.actor import load_bundle
+
+        bundle = load_bundle(args.bundle)
+        with _stop_on_signals(), _line(args.bus, args.bundle, bundle, lock_step=args.dry_run) as line:
+            if args.set_home:
+                return _set_home(bundle, line, as_json=args.json)
+            if args.bus != VIRTUAL:
+                say("no IMU is connected: the tilt guard is off; keep a hand on the power switch")
+            result = _run(bundle, args.seconds, args.log, line)
+    except KeyboardInterrupt:
+        left = "some zeros may be set and others not, repeat it" if args.set_home else "no motor was driven"
+        say(f"bodyplan: interrupted; {left}")
+        return INFEASIBLE
     if args.json:
         emit(result)
     else:
         _tell(result)
-    return DONE if result["latched"] is None else INFEASIBLE
+    return DONE if result["latched"] is None and not result["interrupted"] else INFEASIBLE
 
 
 def dry_run(folder: Path, seconds: float = 10.0, log: Path | None = None) -> dict[str, Any]:
@@ -79,11 +95,16 @@ def dry_run(folder: Path, seconds: float = 10.0, log: Path | None = None) -> dic
     """
     from sim.actor import load_bundle
 
-    return _rehearse(folder, load_bundle(folder), seconds, log, lock_step=True)
+    bundle = load_bundle(folder)
+    with _line(VIRTUAL, folder, bundle, lock_step=True) as line:
+        result = _run(bundle, seconds, log, line)
+    if result["interrupted"]:
+        raise KeyboardInterrupt
+    return result
 
 
 def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIOD, config_hash: str = "") -> Bundle:
-    """Make the policy bundle of a described robot: CAN ids from 1 in joint order, gains as the wire rounds them.
+    """Make the policy bundle of a described robot: its motors' ids and signs, gains as the wire rounds them.
 
     Raises:
         BundleError: The robot has more joints than one bus has ids, or the gait has another number of joints.
@@ -92,14 +113,14 @@ def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIO
     from sim.actor import Bundle, JointSetup
 
     joints = []
-    for can_id, joint in enumerate(description.joints, 1):
+    for joint in description.joints:
         low, high = float(joint.range[0]), float(joint.range[1])
         kp, kd = quantise_gains(joint.motor.stiffness, joint.motor.damping)
         joints.append(
             JointSetup(
                 name=joint.name,
-                can_id=can_id,
-                sign=1,
+                can_id=joint.can_id,
+                sign=joint.sign,
                 range=(low, high),
                 default=min(max(0.0, low), high),
                 kp=kp,
@@ -149,43 +170,66 @@ def _load_plant(folder: Path, bundle: Bundle) -> Plant:
         raise BadInput(f"{folder / MODEL_FILE}: {error}") from None
 
 
-def _rehearse(folder: Path, bundle: Bundle, seconds: float, log: Path | None, lock_step: bool) -> dict[str, Any]:
-    """Run a bundle against simulated motors on a virtual bus, in simulated or in real time."""
+@dataclass(frozen=True)
+class _Line:
+    """Our end of a bus, and what a virtual one has at its other end."""
+
+    port: Port
+    clock: Clock
+    motors: VirtualMotors | None = None
+    plant: Plant | None = None
+
+
+@contextlib.contextmanager
+def _line(bus: str, folder: Path, bundle: Bundle, lock_step: bool) -> Iterator[_Line]:
+    """Open a real bus, or a virtual one with simulated motors, in simulated or in real time."""
     import threading
 
-    from hardware.bus import RealClock, open_virtual_pair
+    from hardware.bus import RealClock, open_port, open_virtual_pair
     from hardware.virtual import LockStepPort, VirtualMotors
 
-    plant = _load_plant(folder, bundle)
-    ours, theirs = open_virtual_pair()
-    ids, signs = [joint.can_id for joint in bundle.joints], [joint.sign for joint in bundle.joints]
-    motors = VirtualMotors(theirs, plant, ids, signs)
     with contextlib.ExitStack() as stack:
+        if bus != VIRTUAL:
+            port = open_port(bus)
+            stack.callback(port.close)
+            yield _Line(port, RealClock())
+            return
+        plant = _load_plant(folder, bundle)
+        ours, theirs = open_virtual_pair()
+        ids, signs = [joint.can_id for joint in bundle.joints], [joint.sign for joint in bundle.joints]
+        motors = VirtualMotors(theirs, plant, ids, signs)
         stack.callback(theirs.close)
         stack.callback(ours.close)
         if lock_step:
-            return _run(bundle, seconds, log, LockStepPort(ours, motors), motors, motors, plant)
+            yield _Line(LockStepPort(ours, motors), motors, motors, plant)
+            return
         stop, clock = threading.Event(), RealClock()
         thread = threading.Thread(target=motors.serve_forever, args=(stop, clock), name="motors", daemon=True)
         thread.start()
         stack.callback(thread.join)
         stack.callback(stop.set)
-        return _run(bundle, seconds, log, ours, clock, motors, plant)
+        yield _Line(ours, clock, motors, plant)
 
 
-def _run(
-    bundle: Bundle,
-    seconds: float,
-    log: Path | None,
-    port: Port,
-    clock: Clock,
-    motors: VirtualMotors | None = None,
-    plant: Plant | None = None,
-) -> dict[str, Any]:
+def _set_home(bundle: Bundle, line: _Line, as_json: bool) -> int:
+    """Make the pose in which the robot is held the zero of its joints."""
+    from hardware.bus import MotorBus
+    from hardware.home import set_home
+
+    before, after = set_home(MotorBus(line.port, line.clock), bundle)
+    if as_json:
+        emit({"joints": list(bundle.names), "before_rad": before.tolist(), "after_rad": after.tolist()})
+    else:
+        for name, was in zip(bundle.names, before, strict=True):
+            print(f"{name}: zero set, it measured {was:.3f} rad there before")
+    return DONE
+
+
+def _run(bundle: Bundle, seconds: float, log: Path | None, line: _Line) -> dict[str, Any]:
     import numpy as np
 
     from hardware.bus import MotorBus
-    from hardware.control import drive
+    from hardware.control import Interrupted, drive
     from hardware.log import Journal
     from hardware.robot import Robot, Schedule, State
 
@@ -196,13 +240,18 @@ def _run(
 
     def watch(tick: Tick) -> None:
         next(bar)
-        if plant is not None and tick.state is State.POLICY:
-            track.append((tick.index * bundle.dt, plant.base_position))
+        if line.plant is not None and tick.state is State.POLICY:
+            track.append((tick.index * bundle.dt, line.plant.base_position))
 
     with contextlib.ExitStack() as stack:
-        journal = None if log is None else stack.enter_context(Journal(log, port, clock))
-        robot = Robot(MotorBus(journal or port, clock), clock, bundle, schedule=schedule)
-        summary = drive(robot, clock, None if motors is None else motors.imu, journal, watch)
+        journal = None if log is None else stack.enter_context(Journal(log, line.port, line.clock))
+        robot = Robot(MotorBus(journal or line.port, line.clock), line.clock, bundle, schedule=schedule)
+        imu = None if line.motors is None else line.motors.imu
+        interrupted = False
+        try:
+            summary = drive(robot, line.clock, imu, journal, watch)
+        except Interrupted as stop:
+            summary, interrupted = stop.summary, True
     if summary.unconfirmed:
         say(f"motors {list(summary.unconfirmed)} did not confirm that they are off: cut the power")
     speed = distance = None
@@ -224,6 +273,7 @@ def _run(
         "worst_jitter_s": summary.worst_jitter,
         "peak_torque_Nm": summary.peak_torque,
         "rms_torque_Nm": summary.rms_torque,
+        "interrupted": interrupted,
         "unconfirmed_off": list(summary.unconfirmed),
         "log": None if log is None else str(log),
     }
@@ -237,6 +287,8 @@ def _tell(result: dict[str, Any]) -> None:
         )
     if result["speed_m_s"] is not None:
         print(f"speed {result['speed_m_s']:.3f} m/s")
+    if result["interrupted"]:
+        print("stopped by the operator")
     if result["latched"] is not None:
         trip = result["latched"]
         where = "" if trip["joint"] is None else f" of {trip['joint']}"

@@ -34,6 +34,15 @@ class RunSummary:
     unconfirmed: tuple[int, ...]  # motors that did not confirm that they are off
 
 
+class Interrupted(KeyboardInterrupt):
+    """The operator ended a run; the motors are off, and `summary` says what came of it until then."""
+
+    def __init__(self, summary: RunSummary) -> None:
+        """Carry what there is."""
+        super().__init__()
+        self.summary = summary
+
+
 def drive(
     robot: Robot,
     clock: Clock,
@@ -53,6 +62,7 @@ def drive(
         watch: Called after every period.
 
     Raises:
+        Interrupted: A KeyboardInterrupt came; the robot has braked and is off.
         MotorError: The bus is gone, or a motor is silent or faulty at bring-up. The motors have been told to be off.
     """
     dt = robot.bundle.dt
@@ -61,34 +71,38 @@ def drive(
     targets, positions, errors, torques = [], [], [], []
     if journal is not None:
         journal.header(robot.bundle, robot.limits, robot.schedule)
-    with robot:
-        if journal is not None:
-            journal.brought_up()
-        start = clock.now()
-        while robot.state is not State.OFF:
-            worst_jitter = max(worst_jitter, clock.now() - (start + index * dt))
-            tick = robot.tick(index, None if imu is None else imu(), row)
+    interrupt: KeyboardInterrupt | None = None
+    try:
+        with robot:
             if journal is not None:
-                journal.tick(tick, row)
-            if watch is not None:
-                watch(tick)
-            if tick.state is State.POLICY:
-                targets.append(tick.target)
-                positions.append(tick.position)
-                errors.append(tick.position - tick.previous_target)
-                torques.append(tick.torque)
-            ticks += 1
-            index += 1
-            lateness = clock.now() - (start + index * dt)
-            if lateness > 0.0:
-                overruns, row = overruns + 1, row + 1
-                worst_lateness = max(worst_lateness, lateness)
-                index += int(lateness / dt)
-            else:
-                row = 0
-            clock.sleep_until(start + index * dt)
+                journal.brought_up()
+            start = clock.now()
+            while robot.state is not State.OFF:
+                worst_jitter = max(worst_jitter, clock.now() - (start + index * dt))
+                tick = robot.tick(index, None if imu is None else imu(), row)
+                if journal is not None:
+                    journal.tick(tick, row)
+                if watch is not None:
+                    watch(tick)
+                if tick.state is State.POLICY:
+                    targets.append(tick.target)
+                    positions.append(tick.position)
+                    errors.append(tick.position - tick.previous_target)
+                    torques.append(tick.torque)
+                ticks += 1
+                index += 1
+                lateness = clock.now() - (start + index * dt)
+                if lateness > 0.0:
+                    overruns, row = overruns + 1, row + 1
+                    worst_lateness = max(worst_lateness, lateness)
+                    index += int(lateness / dt)
+                else:
+                    row = 0
+                clock.sleep_until(start + index * dt)
+    except KeyboardInterrupt as caught:
+        interrupt = caught
     lag, aligned = follow(np.array(targets), np.array(positions)) if targets else (None, None)
-    return RunSummary(
+    summary = RunSummary(
         ticks=ticks,
         overruns=overruns,
         worst_lateness=worst_lateness,
@@ -102,6 +116,9 @@ def drive(
         trip=robot.trip,
         unconfirmed=robot.unconfirmed,
     )
+    if interrupt is not None:
+        raise Interrupted(summary) from interrupt
+    return summary
 
 
 def follow(targets: NDArray[np.float64], positions: NDArray[np.float64]) -> tuple[int, float]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hardware import j60, safety
 from hardware.bus import Clock, MotorBus, MotorFault
+from hardware.home import check_pose, measure_pose
 from hardware.j60 import Code, Command, Reply
 from hardware.safety import DEFAULT_LIMITS, Limits, Sample, Trip
 from sim.actor import Bundle, BundleError, low_pass
@@ -136,11 +137,12 @@ class Robot:
         self.shut_down()
 
     def bring_up(self) -> None:
-        """Find every motor, clear old faults, and set its watchdog.
+        """Find every motor, clear old faults, set its watchdog, and see that the robot stands as it can.
 
         Raises:
             MotorSilent: A motor does not answer.
             MotorFault: A motor has a fault that stays, or does not keep its setting.
+            PoseError: A joint measures outside its range by more than the guards' margin.
         """
         timeout = min(255, max(20, round(SILENT_PERIODS * self.bundle.dt * 1e3)))
         for motor in self._ids:
@@ -153,6 +155,7 @@ class Robot:
             kept = j60.decode_config(self._bus.request(motor, Code.CONFIG)).can_timeout
             if kept != timeout:
                 raise MotorFault(f"Motor {motor} keeps a CAN timeout of {kept} ms, told {timeout} ms; do not run it.")
+        check_pose(measure_pose(self._bus, self.bundle), self.bundle, self.limits.position_margin)
 
     def tick(self, index: int, imu: Imu | None, overruns: int) -> Tick:
         """Run one control period: choose targets, command all motors, measure, look at the guards.

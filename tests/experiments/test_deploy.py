@@ -1,3 +1,4 @@
+import csv
 import json
 import os
 import shutil
@@ -9,11 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bodies import ellipsoid, painted
 
-from decoder.design import VoxelDesign
+from decoder.design import Joint, VoxelDesign
 from experiments.deploy import _stop_on_signals, bundle_of, dry_run
+from hardware.j60 import Code, decode_command, decode_reply, split_id
+from hardware.log import read_log, states_path
+from hardware.robot import Robot, State
 from mfg.description import Description, describe
-from mfg.pipeline import virtual
+from mfg.export import write_blueprint
+from mfg.manifest import read_description
+from mfg.pipeline import build, virtual
 from sim.actor import BundleError, Gait, load_bundle, save_bundle
 from sim.model import make_spec
 
@@ -48,12 +55,117 @@ def test_the_bundle_of_a_robot_has_its_joints_and_gains_that_the_wire_keeps(robo
     assert bundle.names == (described.name,)
     assert bundle.design == robot.name
     assert bundle.config_hash == "c0ffee"
-    assert (joint.can_id, joint.sign, joint.default) == (1, 1, 0.0)
+    assert (joint.can_id, joint.sign, joint.default) == (described.can_id, described.sign, 0.0)
     assert joint.range == tuple(described.range)
     assert (joint.kp, joint.kd) == (described.motor.stiffness, described.motor.damping)
     assert joint.peak_torque == described.motor.peak_torque
     with pytest.raises(BundleError, match="drives 2 joints, the bundle has 1"):
         bundle_of(robot, Gait(1.0, np.zeros(2), np.zeros(2), np.zeros(2)))
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A blueprint folder in which one motor sits in the parent and one in the child."""
+    arm = [ellipsoid((x, 32, 32), (11, 9, 9)) for x in (13, 32, 51)]
+    joints = tuple(
+        Joint(np.array([x * 0.01, 0.32, 0.32]), np.array([0.0, 1.0, 0.0]), np.array([-0.6, 0.6]), i, i + 1)
+        for i, x in ((1, 22.5), (2, 41.5))
+    )
+    outcome = build(painted(arm, joints))
+    assert outcome.ok, outcome.failure
+    seats = list(outcome.blueprint.seats)
+    for index, parent in ((0, True), (1, False)):
+        hinge = outcome.blueprint.hinges[index]
+        sides = (hinge.parent, hinge.body) if parent else (hinge.body, hinge.parent)
+        seats[index] = replace(seats[index], holder=sides[0], connector=sides[1])
+    blueprint = replace(outcome.blueprint, seats=tuple(seats))
+    return write_blueprint(replace(outcome, blueprint=blueprint), tmp_path_factory.mktemp("mixed") / "robot")
+
+
+def test_motors_that_sit_in_the_child_turn_the_other_way_everywhere(mixed: Path) -> None:
+    bundle = bundle_of(read_description(mixed), Gait(1.0, np.zeros(2), np.zeros(2), np.zeros(2)))
+    manifest = json.loads((mixed / "blueprint.json").read_text())["joints"]
+    with (mixed / "wiring.csv").open() as file:
+        table = {row["to"]: (int(row["can_id"]), int(row["sign"])) for row in csv.DictReader(file)}
+    ours = {joint.name: (joint.can_id, joint.sign) for joint in bundle.joints}
+    assert ours == table == {joint["name"]: (joint["can_id"], joint["sign"]) for joint in manifest}
+    assert sorted(joint.sign for joint in bundle.joints) == [-1, 1]
+
+
+def test_the_virtual_motor_turns_against_a_joint_whose_child_holds_it(mixed: Path, tmp_path: Path) -> None:
+    robot = read_description(mixed)
+    gait = Gait(0.0, np.zeros(2), np.zeros(2), np.array([0.3, 0.3]))
+    save_bundle(tmp_path / "policy", bundle_of(robot, gait), mixed)
+    log = tmp_path / "run.log"
+    result = dry_run(tmp_path / "policy", 0.8, log)
+    assert result["latched"] is None, result["latched"]
+    bundle = load_bundle(tmp_path / "policy")
+    last = [json.loads(line) for line in states_path(log).read_text().splitlines()[2:]]
+    joints = next(line["position"] for line in reversed(last) if line["state"] == "policy")
+    np.testing.assert_allclose(joints, 0.3, atol=0.15)  # both follow the command, but for the load
+    commands, replies = {}, {}
+    frames = last[[line["state"] for line in last].index("damping") - 1]["frames"]
+    for logged in read_log(log).frames[:frames]:
+        number, _, motor = split_id(logged.frame.can_id)
+        if number == Code.CONTROL:
+            (commands if logged.sent else replies)[motor] = logged.frame.data
+    for joint, angle in zip(bundle.joints, joints, strict=True):
+        assert decode_command(commands[joint.can_id]).position * joint.sign > 0.1
+        assert decode_reply(replies[joint.can_id]).position == pytest.approx(joint.sign * angle, abs=1e-9)
+
+
+def test_a_robot_in_an_impossible_pose_is_refused_and_nothing_moves(bodyplan: Cli, policy: Path) -> None:
+    bundle = load_bundle(policy)
+    save_bundle(policy, replace(bundle, joints=(replace(bundle.joints[0], range=(0.4, 0.9), default=0.5),)))
+    said = bodyplan("deploy", policy, "--dry-run", "--json")
+    assert (said.status, said.out) == (2, "")
+    assert len(said.err.strip().splitlines()) == 1
+    assert f"{bundle.names[0]} at" in said.err
+    assert "range 0.40 to 0.90" in said.err
+    assert "--set-home" in said.err
+
+
+@pytest.mark.parametrize("extra", [("--dry-run",), ()])
+def test_setting_home_drives_nothing_and_tells_the_pose(bodyplan: Cli, policy: Path, extra: tuple[str, ...]) -> None:
+    said = bodyplan("deploy", policy, *extra, "--set-home", "--json")
+    result = json.loads(said.out)
+    assert said.status == 0
+    assert result["joints"] == list(load_bundle(policy).names)
+    assert np.abs(result["after_rad"]).max() < 0.05
+    assert "zero set" in bodyplan("deploy", policy, "--dry-run", "--set-home").out
+
+
+@pytest.mark.parametrize("moment", ["hold", "policy"])
+def test_ctrl_c_brakes_and_tells_what_came_of_it_until_then(
+    bodyplan: Cli, policy: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    tick = Robot.tick
+
+    def stopped(robot: Robot, index: int, *rest: Any) -> Any:
+        if robot.state is State(moment) and index % 10 == 5:
+            raise KeyboardInterrupt
+        return tick(robot, index, *rest)
+
+    monkeypatch.setattr(Robot, "tick", stopped)
+    said = bodyplan("deploy", policy, "--dry-run", "--json")
+    result = json.loads(said.out)
+    assert (said.status, result["interrupted"], result["state"]) == (1, True, "off")
+    assert result["unconfirmed_off"] == []
+    assert (result["tracking_rms_rad"] is None) is (moment == "hold")
+    with pytest.raises(KeyboardInterrupt):  # within a run, which can be resumed, it must go on
+        dry_run(policy, 1.0)
+
+
+def test_ctrl_c_before_anything_moves_is_not_resumable_either(
+    bodyplan: Cli, policy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("experiments.deploy._load_plant", stopped)
+    said = bodyplan("deploy", policy, "--dry-run", "--json")
+    assert (said.status, said.out) == (1, "")
+    assert "interrupted; no motor was driven" in said.err
 
 
 def test_a_dry_run_tracks_the_gait_and_prints_the_contract(bodyplan: Cli, policy: Path) -> None:
@@ -150,6 +262,7 @@ def test_an_unusable_bundle_is_one_line_and_status_2(
         (("--bus", "slcan:/dev/nosuchtty"), "Cannot open slcan:/dev/nosuchtty"),
         (("--seconds", "nan"), "out of bounds"),
         (("--seconds", "ten"), "not a number"),
+        (("--set-home", "--log", "run.log"), "--set-home drives nothing"),
         (("--dry-run", "--log", "/nowhere/run.log"), "No such file or directory"),
     ],
 )

@@ -76,7 +76,7 @@ def test_a_tampered_reply_shows_where_it_changes_an_action(make_rig: Make, tmp_p
     lines = path.read_text().splitlines()
     replies = [i for i, line in enumerate(lines) if f" {j60.reply_id(j60.Code.CONTROL, 3):03X}#" in line]
     fake = j60.encode_reply(j60.Reply(1.1, 0.0, 0.0, 25.0, True)).hex().upper()
-    victim = replies[5]  # the measurement from which the ramp starts
+    victim = replies[6]  # after one at bring-up, the measurement from which the ramp starts
     lines[victim] = lines[victim].partition("#")[0] + f"#{fake} R"
     path.write_text("\n".join(lines) + "\n")
     _, divergence = play_back(read_log(path))
