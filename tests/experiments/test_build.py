@@ -67,6 +67,26 @@ def test_a_build_leaves_the_blueprint_folder_of_the_contract(bodyplan, good, tmp
     assert list((tmp_path / "robot" / "parts").glob("*.stl"))
 
 
+def test_a_build_goes_into_the_folder_one_stands_in(bodyplan, good, tmp_path, small, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = bodyplan("build", good, "--out", ".", "--json")
+    assert (said.status, json.loads(said.out)["out"]) == (0, ".")
+    assert (tmp_path / "blueprint.json").exists()
+    assert (tmp_path / "blueprint.png").exists()
+
+
+def test_the_folder_one_stands_in_is_refused_in_one_line_if_it_holds_other_things(
+    bodyplan, good, tmp_path, small, monkeypatch
+):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    monkeypatch.chdir(tmp_path)
+    said = bodyplan("build", good, "--out", ".")
+    assert said.status == 2
+    assert said.err.count("\n") == 1
+    assert "is not empty and holds no blueprint.json" in said.err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
 def test_a_build_tells_people_what_came_of_it(bodyplan, good, tmp_path, small):
     said = bodyplan("build", good, "--out", tmp_path / "robot")
     assert said.status == 0
