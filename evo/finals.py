@@ -39,9 +39,9 @@ def finals(record: Record, pool: Pool[Evaluation, Evaluation], heat: int) -> Ite
             return
 
 
-def winner(record: Record) -> Evaluation | None:
-    """The twin that won: the best by its own measurement of those that could be built and walk; None without any."""
-    return min(filter(_wins, record.evaluations(table="finals")), key=lambda twin: twin.rank_key, default=None)
+def winners(record: Record) -> list[Evaluation]:
+    """The twins that could be built and walk, best first by their own measurement."""
+    return sorted(filter(_wins, record.evaluations(table="finals")), key=lambda twin: twin.rank_key)
 
 
 def ladder(evaluations: list[Evaluation]) -> list[Evaluation]:

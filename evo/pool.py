@@ -8,7 +8,9 @@ late worker had, kills that worker, starts another and marks only that task.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import math
 import multiprocessing
 import os
 import signal
@@ -18,6 +20,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from types import TracebackType
@@ -38,6 +41,8 @@ _ONE_THREAD = {
 
 _SPAWN = multiprocessing.get_context("spawn")
 _GRACE = 2.0  # how long a worker may take to leave by itself before it is killed [s]
+_START = 300.0  # how long a worker may take to import what it runs; some seconds, but for a machine that swaps [s]
+_STARTS = 4  # workers lost in a row at their start, before the trouble is taken to be a lasting one
 
 
 @dataclass(slots=True)
@@ -46,7 +51,7 @@ class _Worker(Generic[Task]):
     pipe: Connection
     ready: bool = False
     task: Task | None = None
-    started: float = 0.0  # when the task was given [s], monotonic clock
+    started: float = 0.0  # when the task was given, or the worker started [s], monotonic clock
 
 
 class Pool(Generic[Task, Result]):
@@ -74,6 +79,7 @@ class Pool(Generic[Task, Result]):
         self._count = workers
         self._timeout = timeout
         self._workers: list[_Worker[Task]] = []
+        self._lost_starts = 0  # since a worker last got ready
 
     def __enter__(self) -> Pool[Task, Result]:
         """Enter a context that leaves no process behind."""
@@ -87,6 +93,7 @@ class Pool(Generic[Task, Result]):
 
     def close(self) -> None:
         """Stop every worker; busy ones are killed. The pool can be used again afterwards."""
+        atexit.unregister(self.close)
         workers, self._workers = self._workers, []
         for worker in workers:
             worker.pipe.close()
@@ -106,7 +113,8 @@ class Pool(Generic[Task, Result]):
         says so. Stopping the iteration early kills what is still running.
 
         Raises:
-            RuntimeError: if a worker dies before it can take a task: then no task can ever run.
+            ChildProcessError: if workers die or hang at their start, time after time: then no task can ever run.
+            OSError: if a process cannot be made.
         """
         if self._count == 0:
             for task in tasks:
@@ -137,12 +145,16 @@ class Pool(Generic[Task, Result]):
                     yield task, outcome[0], time.monotonic() - worker.started
 
     def _start(self) -> _Worker[Task]:
+        if not self._workers:
+            # At the end of the program multiprocessing waits for workers after a SIGTERM that they do not hear.
+            atexit.unregister(self.close)
+            atexit.register(self.close)
         ours, theirs = _SPAWN.Pipe()
         process = _SPAWN.Process(target=_serve, args=(self._work, theirs), daemon=True)
-        with _one_thread(), _without_interrupt():
+        with _one_thread(), _without_signals():
             process.start()
         theirs.close()
-        return _Worker(process, ours)
+        return _Worker(process, ours, started=time.monotonic())
 
     def _give(self, worker: _Worker[Task], task: Task) -> None:
         worker.task, worker.started = task, time.monotonic()
@@ -152,17 +164,24 @@ class Pool(Generic[Task, Result]):
     def _await(self) -> list[_Worker[Task]]:
         """Sleep until a worker answers, dies or runs out of time; those workers."""
         handles: dict[Any, _Worker[Task]] = {}
-        deadlines = [worker.started + self._timeout for worker in self._workers if worker.task is not None]
+        deadlines = [self._deadline(worker) for worker in self._workers]
         for worker in self._workers:
             handles[worker.pipe] = worker
             handles[worker.process.sentinel] = worker
-        patience = max(0.0, min(deadlines) - time.monotonic()) if deadlines else None
+        nearest = min(deadlines, default=math.inf)
+        patience = max(0.0, nearest - time.monotonic()) if math.isfinite(nearest) else None
         woken = {id(handles[handle]) for handle in wait(list(handles), patience)}
         now = time.monotonic()
         return [
             worker for worker in list(self._workers)
-            if id(worker) in woken or (worker.task is not None and now >= worker.started + self._timeout)
+            if id(worker) in woken or now >= self._deadline(worker)
         ]  # fmt: skip
+
+    def _deadline(self, worker: _Worker[Task]) -> float:
+        """When a worker must have answered; never for an idle one."""
+        if worker.task is not None:
+            return worker.started + self._timeout
+        return math.inf if worker.ready else worker.started + _START
 
     def _collect(self, worker: _Worker[Task]) -> tuple[Result | Failure] | None:
         """What a woken worker has to say about its task, if anything; lost workers leave the pool."""
@@ -174,6 +193,7 @@ class Pool(Generic[Task, Result]):
         if message is not None:
             if not worker.ready:
                 worker.ready = True
+                self._lost_starts = 0
                 return None
             worker.task = None
             return (message[0],)
@@ -182,12 +202,26 @@ class Pool(Generic[Task, Result]):
             code = worker.process.exitcode
             self._discard(worker)
             if not worker.ready:
-                raise RuntimeError(f"a worker process ended with {_exit(code)} before it could take a task")
+                self._give_up_after(f"ended with {_exit(code)}")
+                return None
             return (_lost(Reason.CRASHED, f"the worker process ended with {_exit(code)}"),)
-        if worker.task is not None and time.monotonic() >= worker.started + self._timeout:
+        if time.monotonic() >= self._deadline(worker):
             self._discard(worker)
+            if not worker.ready:
+                self._give_up_after(f"was not ready after {_START:g} s")
+                return None
             return (_lost(Reason.TIMED_OUT, f"stopped after {self._timeout:g} s"),)
         return None
+
+    def _give_up_after(self, what: str) -> None:
+        """Count a worker that was lost at its start; the next one may have more luck, but not for ever."""
+        self._lost_starts += 1
+        if self._lost_starts >= _STARTS:
+            lost, self._lost_starts = self._lost_starts, 0
+            raise ChildProcessError(
+                f"{lost} worker processes in a row were lost before they could take a task, the last one {what}; "
+                "use fewer workers if memory is short, or none (0) to see the trouble itself"
+            )
 
     def _discard(self, worker: _Worker[Task]) -> None:
         self._workers = [other for other in self._workers if other is not worker]
@@ -251,12 +285,17 @@ def _one_thread() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _without_interrupt() -> Iterator[None]:
-    """Block Ctrl-C in what a child inherits: the terminal sends it to every process, the parent alone decides."""
+def _without_signals() -> Iterator[None]:
+    """Block polite requests to stop in what a child inherits, for its whole life.
+
+    A terminal sends Ctrl-C, and a batch system SIGTERM, to every process of a run. The parent alone decides; it stops
+    workers by hanging up or by SIGKILL, and when it is gone they leave by themselves.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    resource_tracker.ensure_running()  # the first process would start it, and that lets the signals through again.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:

@@ -2,13 +2,14 @@
 
 Everything in `evaluations` follows from the configuration alone, but for `seconds`, which is wall time: two runs of one
 configuration, or an undisturbed run and one that was killed and resumed, agree in every other byte. Wall time by stage
-is in the table `timings`, for the same reason.
+is in the table `timings`, for the same reason, and that of all sessions together is in `meta`, under "seconds".
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
@@ -89,10 +90,12 @@ class Record:
         self._path = path
         self._popsize = popsize
         self._connection = _connect(path)
+        self._opened = time.monotonic()
         with _storage(path):
             version = self._connection.execute("PRAGMA user_version").fetchone()[0]
         if version != VERSION:
             raise RecordError(f"{path}: this run file has version {version}, this program reads version {VERSION}")
+        self._before = float(self.meta().get("seconds", 0.0))
 
     @classmethod
     def create(cls, path: Path, popsize: int, meta: Mapping[str, str]) -> Record:
@@ -129,9 +132,13 @@ class Record:
         self._connection.close()
 
     def meta(self) -> dict[str, str]:
-        """What was written at creation."""
+        """What was written at creation, and "seconds" as of the last row."""
         with _storage(self._path):
             return dict(self._connection.execute("SELECT key, value FROM meta").fetchall())
+
+    def seconds(self) -> float:
+        """Wall time since the file was opened, and of every session before as far as its last row [s]."""
+        return self._before + time.monotonic() - self._opened
 
     def add(self, evaluation: Evaluation, seconds: float, table: Table = "evaluations") -> None:
         """Commit one evaluation.
@@ -151,6 +158,8 @@ class Record:
         with _storage(self._path), self._connection:
             self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", [row[name] for name in _NAMES])
             self._connection.executemany("INSERT INTO timings VALUES (?, ?, ?, ?)", stages)
+            # With every row, so that a killed session counts too.
+            self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('seconds', ?)", (repr(self.seconds()),))
 
     def evaluations(self, generation: int | None = None, table: Table = "evaluations") -> list[Evaluation]:
         """Everything recorded, or one generation of it, by id; wall times are not read back."""

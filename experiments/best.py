@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,15 +31,33 @@ class Best:
     dry_run: dict[str, Any]
 
 
-def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str, film: float) -> Best:
+@dataclass(frozen=True, slots=True)
+class Lame:
+    """The exported robot does not do what was promised.
+
+    Attributes:
+        reason: in words, with numbers.
+    """
+
+    reason: str
+
+
+def write_best(
+    folder: Path, outcome: Outcome, gait: Gait, config_hash: str, film: float, *, must_walk: bool
+) -> Best | Lame:
     """Write the blueprint of a design that was built, the policy bundle that drives it, its strip, video and dry run.
 
+    It is measured on the exported model, so that what is reported is what was written. Its numbers are those of its
+    description but for rounding, and a gait near the edge may fall on one and not on the other.
+
     Args:
-        folder: made if missing; what is there under the same names is replaced.
+        folder: made afresh.
         outcome: of `mfg.pipeline.build`, a success.
         gait: for the hinges of its description.
         config_hash: of the configuration that found it.
         film: length of the video [s], 0 for none.
+        must_walk: whether to stop at a robot that moves less than one body length; its blueprint is written then, and
+            nothing else.
 
     Raises:
         OSError: if something cannot be written.
@@ -55,16 +74,22 @@ def write_best(folder: Path, outcome: Outcome, gait: Gait, config_hash: str, fil
 
     twin = describe(outcome.blueprint)
     robot = folder / BLUEPRINT
-    folder.mkdir(parents=True, exist_ok=True)
+    if folder.exists():
+        shutil.rmtree(folder)  # what a run that was stopped here left may be of another design.
+    folder.mkdir(parents=True)
     write_blueprint(outcome, robot)
-    save_png(robot / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
-    save_bundle(folder / BUNDLE, bundle_of(twin, gait, config_hash=config_hash), robot)
-    # Filmed from the exported model, so that what is seen is what was written.
     model = load_model(robot / "robot.xml")
     rollouts = roll_out(model, [gait], EPISODE)
     behaviour = measure(model, rollouts)[0]
     if behaviour is None:
-        raise RuntimeError(f"the exported model {robot / 'robot.xml'} explodes under a gait that its twin walks with")
+        return Lame("the physics of the exported model explodes")
+    if must_walk and not behaviour.distance >= behaviour.body_length:
+        return Lame(
+            f"the exported model goes {behaviour.distance:.3f} m in {EPISODE:g} s, less than its body length of "
+            f"{behaviour.body_length:.3f} m"
+        )
+    save_png(robot / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
+    save_bundle(folder / BUNDLE, bundle_of(twin, gait, config_hash=config_hash), robot)
     save_strip(folder / STRIP, model, rollouts)
     if film > 0:
         save_video(folder / VIDEO, model, roll_out(model, [gait], film))

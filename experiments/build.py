@@ -43,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
     # Made before the work, so that a folder that cannot be written to is found at once.
     existed = args.out.is_dir()
     folder = make_folder(args.out)
-    outcome = build(design, catalogue(args.catalogue))
+    outcome = build(design, catalogue_of(args.catalogue))
     if not outcome.ok:
         if not existed:
             folder.rmdir()
@@ -83,8 +83,8 @@ def read_design(path: Path) -> VoxelDesign:
     return load_design(path)
 
 
-def catalogue(name: str) -> Catalogue:
-    """The catalogue of that name."""
+def catalogue_of(name: str) -> Catalogue:
+    """The catalogue of that name, one of `experiments.output.CATALOGUES`."""
     from mfg.parts import PAPER
 
     return {"paper": PAPER}[name]

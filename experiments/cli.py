@@ -7,11 +7,12 @@ import difflib
 import os
 import sqlite3
 import sys
+import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
 from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study
-from experiments.output import BAD_INPUT, INTERRUPTED, BadInput, say
+from experiments.output import BAD_INPUT, DEFECT, INTERRUPTED, BadInput, say
 
 VERSION = "0.1.0"
 
@@ -20,6 +21,9 @@ COMMANDS = {
     "run": run, "sample": sample, "build": build, "score": score, "study": study, "simulate": simulate,
     "deploy": deploy, "replay": replay, "report": report, "doctor": doctor,
 }  # fmt: skip
+
+# Commands of the design that this version does not know yet.
+LATER = {"train": "training a policy", "train-decoder": "the learned decoder", "studio": "the studio"}
 
 # Workers are processes, one per core; a maths library that starts threads of its own makes all of them slower, and its
 # sums depend on the number of threads. Must be set before numpy is imported.
@@ -49,7 +53,9 @@ an experiment:
   bodyplan deploy runs/first/best/bundle --bus virtual --dry-run     rehearse on simulated motors
   bodyplan study -n 1000 --out runs/study      what share of random bodies can be built, and what stops the others
 
-exit status: 0 done, 1 the design cannot be built, 2 bad input or configuration, 3 interrupted but resumable.
+exit status: 0 done, 1 the design cannot be built, 2 bad input or configuration, 3 interrupted:
+give the same command again (`run` with --resume); `deploy` never gives 3, see its help. 70 is a defect of
+this program.
 """
 
 
@@ -78,11 +84,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output, `head` for example, has seen enough. Python would complain again while it closes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (ValueError, OSError, sqlite3.DatabaseError) as error:
-        if not _is_bad_input(error):
-            raise
-        say(f"bodyplan: error: {_one_line(error, argv)}")
-        return BAD_INPUT
+    except Exception as error:  # noqa: BLE001 - Python's own status 1 would say that the design cannot be built.
+        if _is_bad_input(error):
+            say(f"bodyplan: error: {_one_line(error, argv)}")
+            return BAD_INPUT
+        traceback.print_exc()
+        say("bodyplan: this is a defect of the program; please report it with all of the lines above")
+        return DEFECT
     return status
 
 
@@ -92,6 +100,8 @@ def _parse(argv: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--version", action="version", version=f"bodyplan {VERSION}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    if argv and argv[0] in LATER:
+        parser.error(f"{argv[0]}: {LATER[argv[0]]} arrives in a later version")
     if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
         close = difflib.get_close_matches(argv[0], COMMANDS, n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COMMANDS)}"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 import msgspec
 from msgspec import Meta, Struct
 
-from experiments.output import SEED_BOUND, BadInput
+from experiments.output import MOST_BODIES, SEED_BOUND, BadInput
 
 if TYPE_CHECKING:
     from evo.fitness import FitnessRule
@@ -128,7 +128,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
         catalogue: which components.
         workers: processes; none given means one per core. It changes no result.
         film: length of the winner's film [s], 0 for none. It changes no result.
-        timeout: how long one evaluation may take before it is stopped [s].
+        timeout: how long one evaluation may take before it is stopped [s]; a hang, for whatever takes seconds.
         search: the optimiser.
         fitness: the rule.
         gait: budget of every evaluation.
@@ -142,7 +142,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     catalogue: CatalogueName = "paper"
     workers: Workers | None = None
     film: Film = 6.0
-    timeout: Annotated[float, Meta(ge=1.0, le=1e6)] = 300.0
+    timeout: Annotated[float, Meta(ge=1.0, le=1e6)] = 1800.0
     search: Search = Search()
     fitness: Fitness = Fitness()
     gait: Gait = Gait()
@@ -164,7 +164,7 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     kind: Literal["study"]
-    n: Annotated[int, Meta(ge=1, le=10_000_000)] = 1000
+    n: Annotated[int, Meta(ge=1, le=MOST_BODIES)] = 1000
     seed: Seed = 0
     decoder: DecoderName = "genome"
     prior: Prior = "normal"

@@ -15,6 +15,7 @@ DONE = 0  # exit status: it worked
 INFEASIBLE = 1  # exit status: the design cannot be built, and the reason was printed
 BAD_INPUT = 2  # exit status: bad input or configuration
 INTERRUPTED = 3  # exit status: stopped by the user, and it can be resumed
+DEFECT = 70  # exit status: the program itself is at fault
 
 # What the options of the same name accept; a test keeps them equal to what the library offers.
 DECODERS = ("genome",)
@@ -22,6 +23,7 @@ PRIORS = ("normal", "uniform")
 SOLVERS = ("paper",)
 CATALOGUES = ("paper",)
 
+MOST_BODIES = 1_000_000  # in one sample or study: latents of that many fill 2 GB
 SEED_BOUND = 2**63  # seeds are stored as signed 64-bit integers in run files
 
 
@@ -74,8 +76,8 @@ def make_folder(path: Path | str) -> Path:
 
 
 def count(text: str) -> int:
-    """Read a command-line argument that counts things: a whole number of at least 1."""
-    return _whole(text, 1, 10**9)
+    """Read a command-line number of bodies: a whole number of at least 1."""
+    return _whole(text, 1, MOST_BODIES)
 
 
 def seed(text: str) -> int:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
-import time
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.output import DONE, INFEASIBLE, INTERRUPTED, BadInput, emit, make_folder, progress, say
 from experiments.run_folder import (
     CHECKPOINT,
-    CONFIG,
     REPORT,
+    RESULT,
+    RUN_FILES,
+    check_folder,
     cores,
+    finished,
+    keep_config,
     locked,
     opened,
     terminable,
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 
 HELP = "an experiment from its TOML file: evolution, study or sketch"
 
-RECORD, BEST, RESULT = "run.sqlite", "best", "result.json"
+RECORD, BEST = RUN_FILES["evolve"], "best"
 OPTIMISER = 0  # purpose of the optimiser's randomness; candidates have theirs
 
 
@@ -82,14 +85,12 @@ def run_evolution(config: Evolve, folder: Path, resume: bool, workers: int | Non
     make_folder(folder)
     with locked(folder), opened(config, folder / RECORD, config.search.popsize, resume) as record:
         (folder / CHECKPOINT).mkdir(exist_ok=True)
-        finished = _finished(folder)
-        if finished is not None:
-            say(f"{folder} is finished; its report is {folder / REPORT}")
-            return finished
-        started = time.monotonic()
+        result = finished(config.kind, folder)
+        if result is not None:
+            return result
         count = workers if workers is not None else config.workers
         _evolve(config, record, folder, cores() if count is None else count)
-        result = _conclude(config, record, folder, round(time.monotonic() - started, 1))
+        result = _conclude(config, record, folder)
     say(_summary(result))
     return result
 
@@ -105,11 +106,13 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
     from evo.finals import finals
     from evo.loop import ResumeError, evolve
     from evo.pool import Pool
+    from experiments.build import catalogue_of
 
     rule, search = config.fitness.rule(), config.search
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(OPTIMISER,)))
     optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma, start=search.start)
-    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget())
+    parts = catalogue_of(config.catalogue)
+    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), parts)
     total = search.generations * search.popsize - record.count()
     if total:
         say(f"{total} evaluations to go: {search.generations} generations of {search.popsize}, {workers} workers")
@@ -120,22 +123,25 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
                 pass
     except ResumeError as error:
         raise BadInput(f"{folder}: {error}") from None
-    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget())
+    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), parts)
     with Pool[Evaluation, Evaluation](twin, workers, config.timeout) as pool:
         left = config.finals.heat - record.count("finals")
         for _ in progress(finals(record, pool, config.finals.heat), left if left > 0 else None, "finals"):
             pass
 
 
-def _conclude(config: Evolve, record: Record, folder: Path, seconds: float) -> dict[str, Any]:
-    """Write the winner's folder, the result and the report; the report comes last, so whoever sees it sees all."""
+def _conclude(config: Evolve, record: Record, folder: Path) -> dict[str, Any]:
+    """Write the winner's folder, the result and the report; the report comes last, so whoever sees it sees all.
+
+    The winner is the best finalist whose exported model walks; those before it are listed as passed over.
+    """
     from evo.evaluate import decode
-    from evo.finals import winner
-    from experiments.best import write_best
+    from evo.finals import winners
+    from experiments.best import Lame, write_best
+    from experiments.build import catalogue_of
     from experiments.config import config_hash
     from mfg.pipeline import build
 
-    champion = winner(record)
     evaluations = record.evaluations()
     result: dict[str, Any] = {
         "kind": "evolve",
@@ -143,13 +149,24 @@ def _conclude(config: Evolve, record: Record, folder: Path, seconds: float) -> d
         "evaluations": len(evaluations),
         "passed": sum(e.passed for e in evaluations),
         "winner": None,
+        "passed_over": [],
     }
-    if champion is not None and champion.walk is not None:
+    for champion in winners(record):
+        if champion.walk is None:
+            continue  # never so: a winner walks.
         say("writing the winner's blueprint, policy, video and dry run")
-        outcome = build(decode(config.decoder, champion.candidate))
-        best = write_best(folder / BEST, outcome, champion.walk.gait, config_hash(config), config.film)
+        outcome = build(decode(config.decoder, champion.candidate), catalogue_of(config.catalogue))
+        best = write_best(
+            folder / BEST, outcome, champion.walk.gait, config_hash(config), config.film, must_walk=True
+        )  # fmt: skip
+        if isinstance(best, Lame):
+            say(f"{champion.design} is passed over: {best.reason}")
+            result["passed_over"].append(_named(champion) | {"reason": best.reason})
+            shutil.rmtree(folder / BEST)
+            continue
         result["winner"] = _described(champion, best.behaviour, best.dry_run)
-    result["seconds"] = seconds
+        break
+    result["seconds"] = round(record.seconds(), 1)
     write_json(folder / RESULT, result)
     _write_report(folder)
     return result
@@ -159,46 +176,63 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
     """Build a painted body, find a gait for its twin, and write its folder.
 
     Raises:
-        BadInput: if the folder holds a result and `resume` is not set, or the design cannot be used.
+        BadInput: if the folder holds a result and `resume` is not set, or another run, or the design cannot be used.
         OSError: if the folder cannot be written.
     """
     import numpy as np
 
-    from experiments.best import write_best
-    from experiments.build import read_design
-    from experiments.config import config_hash, to_toml
+    from experiments.best import Lame, write_best
+    from experiments.build import catalogue_of, read_design
+    from experiments.config import config_hash
     from mfg.description import describe
     from mfg.pipeline import build
     from sim.gaits import search_gait
+    from sim.rollout import Diverged
 
     design = read_design(Path(config.design))
     make_folder(folder)
     with locked(folder):
+        check_folder(config, folder)
         if (folder / RESULT).exists() and not resume:
-            raise BadInput(f"{folder} holds a result already; choose another --out, or --resume to make it again")
-        (folder / CONFIG).write_text(to_toml(config), encoding="utf-8")
-        outcome = build(design)
-        result: dict[str, Any] = {"kind": "sketch", "out": str(folder), **outcome.to_json(str(folder)), "winner": None}
+            raise BadInput(f"{folder} holds a run already; go on with it by --resume, or choose another --out")
+        result = finished(config.kind, folder)
+        if result is not None:
+            if result.get("design") != design.key:
+                raise BadInput(f"{config.design} has changed since {folder} was made of it; choose another --out")
+            return result
+        keep_config(config, folder)
+        outcome = build(design, catalogue_of(config.catalogue))
+        result = {"kind": "sketch", "out": str(folder), **outcome.to_json(str(folder)), "winner": None}
+        trouble = None if outcome.failure is None else f"cannot be built: {outcome.failure}"
         if outcome.ok:
             say("looking for a gait")
             rng = np.random.default_rng(np.random.SeedSequence(config.seed))
-            found = search_gait(describe(outcome.blueprint), rng, config.gait.budget())
-            say("writing blueprint, policy, video and dry run")
-            best = write_best(folder / BEST, outcome, found.gait, config_hash(config), config.film)
-            result["winner"] = {"design": design.key, **best.behaviour, "dry_run": best.dry_run}
-        else:
-            say(f"bodyplan: {config.design} cannot be built: {outcome.failure}")
+            try:
+                gait = search_gait(describe(outcome.blueprint), rng, config.gait.budget()).gait
+                say("writing blueprint, policy, video and dry run")
+                best = write_best(folder / BEST, outcome, gait, config_hash(config), config.film, must_walk=False)
+            except Diverged as error:
+                best = Lame(str(error))
+            if isinstance(best, Lame):
+                trouble = f"cannot be simulated: {best.reason}"
+            else:
+                result["winner"] = {"design": design.key, **best.behaviour, "dry_run": best.dry_run}
+        if trouble is not None:
+            say(f"bodyplan: {config.design} {trouble}")
         write_json(folder / RESULT, result)
         _write_report(folder)
     return result
 
 
+def _named(champion: Evaluation) -> dict[str, Any]:
+    candidate = champion.candidate
+    return {"design": champion.design, "generation": candidate.generation, "candidate": candidate.index}
+
+
 def _described(champion: Evaluation, behaviour: dict[str, Any], dry_run: dict[str, Any]) -> dict[str, Any]:
     walk = champion.walk
     return {
-        "design": champion.design,
-        "generation": champion.candidate.generation,
-        "candidate": champion.candidate.index,
+        **_named(champion),
         "fitness": champion.fitness,
         "s_mfg": champion.scores.total,
         "joints": 0 if walk is None else walk.gait.num_joints,
@@ -228,14 +262,6 @@ def _summary(result: dict[str, Any]) -> str:
         ]  # fmt: skip
     rows.append(("read", str(Path(result["out"]) / REPORT)))
     return "\n".join(f"  {name:10} {text}" for name, text in rows)
-
-
-def _finished(folder: Path) -> dict[str, Any] | None:
-    """The result of a run that is complete."""
-    if not (folder / REPORT).exists() or not (folder / RESULT).exists():
-        return None
-    result: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
-    return result
 
 
 def _write_report(folder: Path) -> None:

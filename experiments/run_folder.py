@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import json
 import os
 import signal
@@ -15,10 +16,92 @@ from experiments.output import BadInput, say
 
 if TYPE_CHECKING:
     from evo.record import Record
-    from experiments.config import Evolve, Study
+    from experiments.config import Config, Evolve, Study
 
 CONFIG, CHECKPOINT, REPORT = "config.toml", "checkpoint", "report.html"
+RESULT, STUDY_RESULT = "result.json", "study.json"
+RUN_FILES = {"evolve": "run.sqlite", "study": "study.sqlite"}  # a sketch has none
 DEPENDENCIES = ("numpy", "scipy", "cma", "mujoco", "manifold3d", "scikit-image")  # whose versions can change a result
+
+
+def check_folder(config: Config, folder: Path) -> None:
+    """Refuse a folder that another run was written to.
+
+    Raises:
+        BadInput: if what is there is of another kind or configuration, or cannot be told; it names the difference.
+        OSError: if a file cannot be read.
+    """
+    from experiments.config import differences
+
+    then = _held(folder)
+    if then is None:
+        return
+    if then.kind != config.kind:
+        raise BadInput(f'{folder} holds a run of kind "{then.kind}", this one is "{config.kind}"; choose another --out')
+    changes = differences(then, config)
+    if changes:
+        raise BadInput(
+            f"{folder} was made with another configuration: {'; '.join(changes)}; "
+            f"resume with {folder / CONFIG}, or choose another --out"
+        )
+    run_file, result = RUN_FILES.get(config.kind), _result_in(folder)
+    if run_file is not None and result is not None and not (folder / run_file).exists():
+        raise BadInput(f"{folder} holds {result} but not the {run_file} it came from; choose another --out")
+
+
+def _held(folder: Path) -> Config | None:
+    """The configuration of the run in a folder; None if there is no run."""
+    import tomllib
+
+    from evo.record import Record, RecordError
+    from experiments.config import load_config, parse_config
+
+    for name in RUN_FILES.values():
+        path = folder / name
+        if path.exists():
+            with Record(path, 1) as record:
+                meta = record.meta()
+            if "config" not in meta:
+                raise RecordError(f"{path}: this run file does not say how it was made; choose another --out")
+            return parse_config(tomllib.loads(meta["config"]), f"{path}, meta")
+    if (folder / CONFIG).exists():
+        try:
+            return load_config(folder / CONFIG)
+        except BadInput as error:
+            raise BadInput(f"{folder} may hold another run, choose another --out: {error}") from None
+    result = _result_in(folder)
+    if result is not None:
+        raise BadInput(f"{folder} holds {result} of another run, but no {CONFIG}; choose another --out")
+    return None
+
+
+def _result_in(folder: Path) -> str | None:
+    return next((name for name in (RESULT, STUDY_RESULT) if (folder / name).exists()), None)
+
+
+def keep_config(config: Config, folder: Path) -> None:
+    """Write the configuration into a folder that was checked; one that is there already says the same and stays."""
+    from experiments.config import to_toml
+
+    path = folder / CONFIG
+    if not path.exists():
+        partial = path.with_name(path.name + ".partial")
+        partial.write_text(to_toml(config), encoding="utf-8")
+        os.replace(partial, path)
+
+
+def finished(kind: str, folder: Path) -> dict[str, Any] | None:
+    """The result of a run of that kind that is complete; a damaged result is none, and the run makes it again."""
+    if not (folder / REPORT).exists() or not (folder / RESULT).exists():
+        return None
+    try:
+        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    except ValueError:
+        return None
+    if not isinstance(result, dict) or result.get("kind") != kind or "winner" not in result:
+        return None
+    say(f"{folder} is finished; its report is {folder / REPORT}")
+    return result | {"out": str(folder)}  # it may have been moved.
 
 
 @contextlib.contextmanager
@@ -32,49 +115,61 @@ def opened(config: Evolve | Study, path: Path, popsize: int, resume: bool) -> It
         resume: go on if a run is there already.
 
     Raises:
-        BadInput: if a run is there and `resume` is not set, or it was made with another configuration.
+        BadInput: if a run is there and `resume` is not set, or it was made with another configuration or other parts.
         OSError: if a file cannot be read or written.
     """
     from evo.record import Record
     from experiments.config import config_hash, to_toml
 
     folder = path.parent
+    check_folder(config, folder)
     if path.exists():
         if not resume:
             raise BadInput(f"{folder} holds a run already; go on with it by --resume, or choose another --out")
-        _check_past(path, config, popsize)
+        _check_past(path, config)
     else:
         if resume:
             say(f"{folder} holds no run yet: starting it")
-        (folder / CONFIG).write_text(to_toml(config), encoding="utf-8")
+        keep_config(config, folder)
         Record.create(
             path, popsize,
             {"config": to_toml(config), "config_hash": config_hash(config), "seed": str(config.seed),
-             "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions())},
+             "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions()),
+             "ingredients": json.dumps(ingredients(config.decoder, config.catalogue))},
         ).close()  # fmt: skip
     with Record(path, popsize) as record:
         yield record
 
 
-def _check_past(path: Path, config: Evolve | Study, popsize: int) -> None:
-    import tomllib
-
+def _check_past(path: Path, config: Evolve | Study) -> None:
+    """Refuse to go on with other numbers in the program; tell of other versions, which differ in details at most."""
     from evo.record import Record
-    from experiments.config import differences, parse_config
 
-    with Record(path, popsize) as record:
+    with Record(path, 1) as record:
         meta = record.meta()
-    then = parse_config(tomllib.loads(meta["config"]), f"{path}, meta")
-    changes = differences(then, config)
-    if changes:
+    before, now = json.loads(meta.get("ingredients", "{}")), ingredients(config.decoder, config.catalogue)
+    other = [name for name in now if before.get(name) != now[name]]
+    if other:
         raise BadInput(
-            f"{path.parent} was made with another configuration: {'; '.join(changes)}; "
-            f"resume with {path.parent / CONFIG}, or choose another --out"
+            f"{path.parent} was made by a program with another {' and another '.join(other)}, so the rest would not "
+            "fit what is there; choose another --out"
         )
-    before, now = json.loads(meta["versions"]), versions()
+    before, now = json.loads(meta.get("versions", "{}")), versions()
     other = [f"{name} was {before.get(name)} and is now {now[name]}" for name in now if before.get(name) != now[name]]
     if other:
         say(f"note: {'; '.join(other)}: the rest of this run may differ from what it would have been")
+
+
+def ingredients(decoder: str, catalogue: str) -> dict[str, str]:
+    """Digests of the numbers that results follow from but no configuration names, so that none changes within a run."""
+    from decoder.latent import make_decoder
+    from experiments.build import catalogue_of
+    from mfg.pipeline import BUILDING
+
+    parts = {
+        "decoder": make_decoder(decoder), "set of solvers": BUILDING, "catalogue of components": catalogue_of(catalogue)
+    }  # fmt: skip
+    return {name: hashlib.sha256(repr(part).encode()).hexdigest()[:16] for name, part in parts.items()}
 
 
 def versions() -> dict[str, str]:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.build import add_pipeline_options, catalogue, read_design
+from experiments.build import add_pipeline_options, catalogue_of, read_design
 from experiments.output import DONE, INFEASIBLE, emit, say
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def main(args: argparse.Namespace) -> int:
     """Score designs in the order given; status 1 if any of them cannot be built."""
     from mfg.pipeline import score
 
-    parts = catalogue(args.catalogue)
+    parts = catalogue_of(args.catalogue)
     width = max(len(str(path)) for path in args.designs)
     verdicts: list[dict[str, Any]] = []
     for path in args.designs:

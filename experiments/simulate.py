@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.build import read_design
+from experiments.build import add_pipeline_options, catalogue_of, read_design
 from experiments.output import DONE, INFEASIBLE, BadInput, emit, say, seed
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--video", type=Path, metavar="FILE", help="film it: .mp4, or .png for a strip of moments")
     parser.add_argument("--seed", type=seed, default=0, help="of the search for a gait (0)")
     parser.add_argument("--virtual", action="store_true", help="a design as drawn, before any hardware is put into it")
+    add_pipeline_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
@@ -38,7 +39,7 @@ def main(args: argparse.Namespace) -> int:
 
     if args.video is not None:
         _check_film(args.video)
-    model = _model(args.robot, args.virtual)
+    model = _model(args.robot, args.virtual, args.catalogue)
     if model is None:
         return INFEASIBLE
     try:
@@ -64,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _model(path: Path, virtual: bool) -> Model | None:
+def _model(path: Path, virtual: bool, components: str) -> Model | None:
     """The model of a blueprint or a design, or None where the design cannot be built and the reason was said."""
     from sim.model import ModelError, compile_model, load_model
 
@@ -84,7 +85,8 @@ def _model(path: Path, virtual: bool) -> Model | None:
     from mfg.description import describe
 
     design = read_design(path)
-    outcome = pipeline.virtual(design) if virtual else pipeline.score(design)
+    solve = pipeline.virtual if virtual else pipeline.score
+    outcome = solve(design, catalogue_of(components))
     if not outcome.ok:
         hint = "" if virtual else "; --virtual simulates it all the same"
         say(f"bodyplan: {path} cannot be built: {outcome.failure}{hint}")

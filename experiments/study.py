@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,17 @@ from experiments.output import (
     say,
     seed,
 )
-from experiments.run_folder import REPORT, cores, locked, opened, terminable, worker_count, write_json
+from experiments.run_folder import (
+    REPORT,
+    RUN_FILES,
+    STUDY_RESULT,
+    cores,
+    locked,
+    opened,
+    terminable,
+    worker_count,
+    write_json,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,8 +48,9 @@ if TYPE_CHECKING:
 
 HELP = "pass-through table, score histogram and failure map of random bodies"
 
-RECORD, RESULT, TABLE, RATES, SHEET = "study.sqlite", "study.json", "records.csv", "pass_through.csv", "sheet.png"
-TIMEOUT = 120.0  # a design that takes longer is given up [s]
+RECORD, RESULT = RUN_FILES["study"], STUDY_RESULT
+TABLE, RATES, SHEET = "records.csv", "pass_through.csv", "sheet.png"
+TIMEOUT = 900.0  # a design that takes longer is given up; a hang, for whatever takes a second [s]
 PICTURE, COLUMNS = (320, 240), 4  # of one example [pixel]
 PASSED_SHOWN, FAILED_SHOWN = 8, 4  # examples on the sheet: of designs that can be built, and of each class of failure
 
@@ -63,10 +73,10 @@ class Score:
 
     def outcome(self, candidate: Candidate) -> Outcome:
         """All that the solvers say."""
-        from experiments.build import catalogue
+        from experiments.build import catalogue_of
         from mfg.pipeline import score
 
-        return score(_decoder(self.decoder).decode(candidate.latent[None])[0], catalogue(self.catalogue))
+        return score(_decoder(self.decoder).decode(candidate.latent[None])[0], catalogue_of(self.catalogue))
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +136,12 @@ def run_study(config: Study, folder: Path, args: argparse.Namespace) -> int:
         BadInput: if a study is there and `resume` is not set, or it was made with another configuration.
         OSError: if the folder cannot be written.
     """
-    started = time.monotonic()
     make_folder(folder)
     with locked(folder), opened(config, folder / RECORD, config.n, args.resume) as record:
         workers = args.workers if args.workers is not None else config.workers
         workers = cores() if workers is None else workers
         _score_all(config, record, workers)
-        result = _analyse(config, record, folder, workers, started)
+        result = _analyse(config, record, folder, workers)
     if args.json:
         emit(result)
     else:
@@ -162,7 +171,7 @@ def _score_all(config: Study, record: Record, workers: int) -> None:
             record.add(evaluation, seconds)
 
 
-def _analyse(config: Study, record: Record, folder: Path, workers: int, started: float) -> dict[str, Any]:
+def _analyse(config: Study, record: Record, folder: Path, workers: int) -> dict[str, Any]:
     """Write tables, figures, result and report; the report comes last, so whoever sees it sees all."""
     from analysis import plots
     from analysis.folder import read_folder
@@ -185,7 +194,7 @@ def _analyse(config: Study, record: Record, folder: Path, workers: int, started:
         if png is not None:
             (folder / name).write_bytes(png)
     _draw_examples(config, record.evaluations(), folder / SHEET, workers)
-    result = _result(config, counts, lda, round(time.monotonic() - started, 1))
+    result = _result(config, counts, lda, round(record.seconds(), 1))
     write_json(folder / RESULT, result)
     write_report(folder, lda)
     return result

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evo.evaluation import Candidate, Evaluation, Walk
-from evo.finals import finals, ladder, winner
+from evo.finals import finals, ladder, winners
 from evo.pool import Pool
 from evo.record import Record
 from mfg.outcome import Failure, Reason, Scores, Stage
@@ -44,7 +44,7 @@ def tournament(folder: Path, designs: list[tuple[float | None, str]], heat: int)
             record.add(screened(index, fitness, design), 0.0)
         with Pool(build, 0, 30.0) as pool:
             list(finals(record, pool, heat))
-        champion = winner(record)
+        champion = next(iter(winners(record)), None)
         built = [twin.candidate.index for twin in record.evaluations(table="finals")]
         return built, None if champion is None else champion.design
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -48,6 +49,11 @@ def leaves_a_note(task):
     with open(task, "w") as note:
         note.write(str(os.getpid()))
     time.sleep(3600)
+
+def asks_itself_to_stop(task):
+    os.kill(os.getpid(), signal.SIGTERM)
+    os.kill(os.getpid(), signal.SIGINT)
+    return 2 * task
 
 def unpicklable(task):
     return (lambda: 0) if task == 1 else task
@@ -121,6 +127,80 @@ def test_a_pool_runs_batch_after_batch_on_the_same_workers(work: ModuleType) -> 
         assert list(pool.run([])) == []
 
 
+def test_workers_leave_it_to_the_parent_to_stop(work: ModuleType) -> None:
+    with Pool(work.asks_itself_to_stop, 1, 60.0) as pool:
+        assert [result for _, result, _ in pool.run([1, 2])] == [2, 4]
+
+
+FLAKY = """
+import os, time
+from pathlib import Path
+
+starts = Path({folder!r}, "starts")
+if os.getpid() != {parent}:
+    with starts.open("a") as note:
+        note.write("x")
+    if len(starts.read_text()) <= {times}:
+        {trouble}
+
+def double(task):
+    return 2 * task
+"""
+
+
+@pytest.fixture
+def flaky(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, int], ModuleType]:
+    """Make work whose import in a worker goes wrong some times."""
+
+    def make(trouble: str, times: int) -> ModuleType:
+        (tmp_path / "flaky.py").write_text(
+            FLAKY.format(folder=str(tmp_path), parent=os.getpid(), trouble=trouble, times=times)
+        )
+        return importlib.import_module("flaky")
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "flaky", raising=False)
+    return make
+
+
+def test_a_worker_that_dies_at_its_start_is_started_again(
+    flaky: Callable[[str, int], ModuleType], tmp_path: Path
+) -> None:
+    module = flaky("os._exit(5)", 3)
+    assert collect(Pool(module.double, 1, 60.0), range(3)) == {0: 0, 1: 2, 2: 4}
+    assert (tmp_path / "starts").read_text() == "xxxx"
+
+
+def test_workers_that_always_die_at_their_start_are_one_error(flaky: Callable[[str, int], ModuleType]) -> None:
+    module = flaky("os._exit(5)", 99)
+    with pytest.raises(ChildProcessError, match=r"4 worker processes in a row were lost .* ended with exit code 5"):
+        collect(Pool(module.double, 2, 60.0), range(3))
+
+
+def test_a_worker_that_hangs_at_its_start_is_started_again(
+    flaky: Callable[[str, int], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("evo.pool._START", 8.0)  # well above what the import takes on a busy machine.
+    module = flaky("time.sleep(3600)", 1)
+    assert collect(Pool(module.double, 1, 60.0), range(3)) == {0: 0, 1: 2, 2: 4}
+    assert (tmp_path / "starts").read_text() == "xx"
+
+
+def test_a_program_that_forgets_to_close_its_pool_ends_all_the_same(work: ModuleType) -> None:
+    code = f"""
+    import sys
+    sys.path.insert(0, {str(Path(str(work.__file__)).parent)!r})
+    import pool_work
+    from evo.pool import Pool
+    if __name__ == "__main__":
+        pool = Pool(pool_work.double, 1, 3600.0)
+        print([result for _, result, _ in pool.run([1])])
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (0, "[2]\n"), done.stderr
+
+
 def test_stopping_early_leaves_no_process(work: ModuleType, tmp_path: Path) -> None:
     notes = [str(tmp_path / "a"), str(tmp_path / "b")]
     with Pool(work.leaves_a_note, 2, 0.9) as pool:
@@ -159,7 +239,7 @@ def test_work_that_cannot_be_imported_in_a_worker_is_an_error_not_a_failure(
 
     local.__module__, local.__qualname__ = "pool_work", "vanished"
     work.vanished = local
-    with pytest.raises(RuntimeError, match="before it could take a task"):
+    with pytest.raises(ChildProcessError, match="before they could take a task"):
         collect(Pool(local, 1, 10.0), [0])
     assert "vanished" in capfd.readouterr().err
 

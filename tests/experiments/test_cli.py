@@ -112,8 +112,10 @@ def test_what_the_user_can_mend_is_one_line_and_status_2(bodyplan, doctor_that, 
 @pytest.mark.parametrize("error", [ValueError("shapes differ"), KeyError("x"), sqlite3.IntegrityError("twice")])
 def test_a_defect_of_the_program_is_not_passed_off_as_bad_input(bodyplan, doctor_that, error):
     doctor_that(raising(error))
-    with pytest.raises(type(error)):
-        bodyplan("doctor")
+    said = bodyplan("doctor")
+    assert said.status == 70  # neither 1, which means that a design cannot be built, nor 2
+    assert said.err.startswith("Traceback")
+    assert f"{type(error).__name__}: {error}\nbodyplan: this is a defect of the program" in said.err
 
 
 def test_the_names_of_bad_input_errors_are_names_of_errors():
@@ -161,10 +163,45 @@ def test_progress_passes_everything_through(capsys):
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("text", ["0", "-3", "1.5", "many", "9" * 30])
-def test_a_count_is_a_whole_number_of_at_least_one(text):
+@pytest.mark.parametrize("text", ["0", "-3", "1.5", "many", "1000001", "9" * 30])
+def test_a_count_is_a_whole_number_of_at_least_one_and_fits_the_memory(text):
     with pytest.raises(argparse.ArgumentTypeError):
         output.count(text)
+    assert output.count("1000000") == 1_000_000
+
+
+@pytest.mark.parametrize("command", ["sample", "study"])
+def test_a_thousand_million_bodies_are_refused_in_one_line(bodyplan, tmp_path, command):
+    said = bodyplan(command, "-n", 10**9, "--out", tmp_path / "out")
+    assert said.status == 2
+    assert "1000000000 is out of bounds; it must lie in [1, 1000000]" in said.err
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["train", "train-decoder", "studio"])
+def test_a_command_to_come_is_told_from_a_mistyped_one(bodyplan, command):
+    said = bodyplan(command, "robot", "--out", "x")
+    assert said.status == 2
+    assert "arrives in a later version" in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_the_catalogues_on_offer_exist():
+    from experiments.build import catalogue_of
+    from mfg.catalogue import Catalogue
+
+    for name in output.CATALOGUES:
+        catalogue = catalogue_of(name)
+        assert isinstance(catalogue, Catalogue)
+        assert catalogue.name == name
+
+
+@pytest.mark.parametrize("command", ["score", "build", "study", "simulate"])
+def test_solvers_and_components_can_be_chosen_wherever_designs_are_solved(bodyplan, command):
+    said = bodyplan(command, "--help")
+    assert "--solver {paper}" in said.out
+    assert "--catalogue {paper}" in said.out
 
 
 def test_a_seed_may_be_zero_and_must_fit_the_run_file():

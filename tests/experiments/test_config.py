@@ -32,7 +32,7 @@ configs: st.SearchStrategy[c.Config] = st.one_of(
         fitness=st.builds(c.Fitness, mode=st.sampled_from(["penalty", "constraint", "speed"])),
         finals=st.builds(c.Finals, gait=gaits),
     ),
-    st.builds(c.Study, kind=st.just("study"), n=st.integers(1, 10**7), prior=st.sampled_from(["normal", "uniform"])),
+    st.builds(c.Study, kind=st.just("study"), n=st.integers(1, 10**6), prior=st.sampled_from(["normal", "uniform"])),
     st.builds(c.Sketch, kind=st.just("sketch"), design=st.text(st.characters(codec="utf-8"), min_size=1)),
 )
 
@@ -110,7 +110,7 @@ def evolve(**keys: Any) -> dict[str, Any]:
         (evolve(fitness={"bound": 6}), "fitness.bound = 6; it must be a number in [0, 5]"),
         (evolve(finals={"gait": {"sceonds": 1.0}}), "unknown key finals.gait.sceonds; did you mean seconds?"),
         (evolve(finals={"gait": {"seconds": 0.0}}), "finals.gait.seconds = 0.0; it must be a number in [0.1, 1000]"),
-        ({"kind": "study", "n": 0}, "n = 0; it must be a whole number in [1, 10000000]"),
+        ({"kind": "study", "n": 0}, "n = 0; it must be a whole number in [1, 1000000]"),
         ({"kind": "study", "search": {}}, "unknown key search"),
         ({"kind": "sketch"}, "design is missing; it must be a text that is not empty"),
         ({"kind": "sketch", "design": ""}, 'design = ""; it must be a text that is not empty'),

@@ -3,18 +3,23 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import signal
 import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from decoder.genome import GenomeDecoder
 from evo.evaluation import Candidate, Evaluation, Walk
 from experiments import best, run, run_folder
 from mfg.outcome import Failure, Reason, Scores, Stage
+from mfg.parts import PAPER
+from mfg.pipeline import BUILDING
 from sim.actor import Gait
 
 CONFIG = """
@@ -38,6 +43,7 @@ class Fake:
     stop: Callable[[int], object] = staticmethod(lambda _: None)
     calls = 0
     distance = 1.5
+    lame = 0  # so many finalists do not walk when they are exported
 
     def __init__(self, *fields: object) -> None:
         self.fields = fields
@@ -53,6 +59,15 @@ class Fake:
         return Evaluation(candidate, f"{value:.6f}", Scores(0.5), None, walk, value)
 
 
+def write_best(folder: Path, *_: object, must_walk: bool) -> best.Best | best.Lame:
+    folder.mkdir()
+    Fake.lame -= 1
+    if must_walk and Fake.lame >= 0:
+        return best.Lame("planted")
+    (folder / "robot").write_text("to print")
+    return best.Best(BEHAVIOUR, DRY)
+
+
 @pytest.fixture
 def experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bodyplan: Command) -> Command:
     """`bodyplan run` with everything dear replaced, in this process."""
@@ -60,7 +75,8 @@ def experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bodyplan: Comman
     monkeypatch.setattr("evo.evaluate.EvaluateTwin", Fake)
     monkeypatch.setattr("evo.evaluate.decode", lambda *_: None)
     monkeypatch.setattr("mfg.pipeline.build", lambda *_: None)
-    monkeypatch.setattr(best, "write_best", lambda folder, *_: folder.mkdir() or best.Best(BEHAVIOUR, DRY))
+    monkeypatch.setattr(best, "write_best", write_best)
+    monkeypatch.setattr(Fake, "lame", 0)
     monkeypatch.setattr(run, "_write_report", lambda folder: (folder / "report.html").write_text("<html>"))
     monkeypatch.setattr(Fake, "stop", staticmethod(lambda _: None))
     monkeypatch.setattr(Fake, "calls", 0)
@@ -179,6 +195,77 @@ def test_other_versions_are_told(experiment: Command, monkeypatch: pytest.Monkey
     said = experiment("--resume")
     assert said.status == 0
     assert "and is now 0.1: the rest of this run may differ" in said.err
+
+
+@pytest.mark.parametrize("what", ["components", "solvers", "decoder"])
+def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
+    experiment: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    stop_at(monkeypatch, 3, interrupt)
+    assert experiment().status == 3
+    before = rows(tmp_path / "out")
+    with monkeypatch.context() as changed:
+        if what == "components":
+            heavier = replace(PAPER, motor=replace(PAPER.motor, mass=0.481))
+            changed.setattr("experiments.build.catalogue_of", lambda _: heavier)
+        elif what == "solvers":
+            changed.setattr("mfg.pipeline.BUILDING", BUILDING[:-1])
+        else:
+            changed.setattr("decoder.latent.make_decoder", lambda _: GenomeDecoder(gap=2.6))
+        said = experiment("--resume")
+    assert said.status == 2
+    assert f"was made by a program with another {'catalogue of ' * (what == 'components')}" in said.err
+    assert what in said.err
+    assert said.err.count("\n") == 1
+    assert rows(tmp_path / "out") == before
+    assert experiment("--resume").status == 0
+
+
+def test_finalists_whose_exported_model_does_not_walk_are_passed_over(
+    experiment: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = json.loads(experiment("--json").out)
+    monkeypatch.setattr(Fake, "lame", 1)
+    said = experiment("--json", out=tmp_path / "second")
+    second = json.loads(said.out)
+    assert first["passed_over"] == []
+    assert [(lame["design"], lame["reason"]) for lame in second["passed_over"]] == [
+        (first["winner"]["design"], "planted")
+    ]
+    assert f"{first['winner']['design']} is passed over: planted" in said.err
+    assert said.status == 0
+    assert second["winner"]["design"] != first["winner"]["design"]
+    assert second["winner"]["fitness"] <= first["winner"]["fitness"]
+    monkeypatch.setattr(Fake, "lame", 2)
+    said = experiment("--json", out=tmp_path / "third")
+    assert said.status == 1
+    assert json.loads(said.out)["winner"] is None
+    assert not (tmp_path / "third" / "best").exists()
+
+
+def test_the_time_of_all_sessions_counts(experiment: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stop_at(monkeypatch, 3, interrupt)
+    assert experiment().status == 3
+    with sqlite3.connect(tmp_path / "out" / "run.sqlite") as connection:
+        (spent,) = connection.execute("SELECT value FROM meta WHERE key = 'seconds'").fetchone()
+        assert 0 < float(spent) < 3600
+        connection.execute("UPDATE meta SET value = '5000.0' WHERE key = 'seconds'")
+    connection.close()
+    result = json.loads(experiment("--resume", "--json").out)
+    assert 5000 <= result["seconds"] < 8600
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"kind": "evolve"}', '{"kind": "study", "winner": null}', "\xff"])
+def test_a_damaged_result_is_made_again(experiment: Command, tmp_path: Path, text: str) -> None:
+    first = json.loads(experiment("--json").out)
+    calls = Fake.calls
+    (tmp_path / "out" / "result.json").write_bytes(text.encode("latin-1"))
+    shutil.rmtree(tmp_path / "out" / "best")  # what stands in for its writer here does not replace it.
+    said = experiment("--json", "--resume")
+    assert said.status == 0
+    assert Fake.calls == calls
+    assert json.loads(said.out)["winner"] == first["winner"]
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["winner"] == first["winner"]
 
 
 def test_two_processes_do_not_write_one_run(experiment: Command, tmp_path: Path) -> None:
