@@ -209,11 +209,9 @@ def overlaps(blueprint: Blueprint, solids: dict[str, Solid]) -> list[str]:
     hardware = {f"motor_{seat.hinge + 1}": motor_solid(blueprint, seat) for seat in blueprint.seats}
     hardware |= {box.kind: box_solid(box) for box in blueprint.boxes}
     tunnels = {wire.name: tunnel(wire) for wire in blueprint.wires}
-    shared = [note for note in blueprint.notes if "shares a channel" in note]
     pairs = list(itertools.combinations(hardware.items(), 2))
     pairs += list(itertools.product(hardware.items(), tunnels.items()))
-    pairs += [pair for pair in itertools.combinations(tunnels.items(), 2)
-              if not any(name in note.split() for note in shared for name, _ in pair)]  # fmt: skip
+    pairs += list(itertools.combinations(tunnels.items(), 2))
     pairs += list(itertools.product(solids.items(), hardware.items()))
     pairs += list(itertools.product(solids.items(), tunnels.items()))
     body = {part.name: part.body for part in blueprint.parts}

@@ -153,8 +153,7 @@ class Net:
             used |= np.asarray(np.linalg.norm(self.starts[:, None] - path, axis=2).min(axis=1) < apart)
         for blocked, closed, compromise in (
             (solid | self.in_shaft | taken, used, ""),
-            (solid | self.in_shaft, np.zeros_like(used), "shares a channel with an earlier wire"),
-            (solid, np.zeros_like(used), "crosses an insertion shaft: lay it after the boxes are in"),
+            (solid | taken, used, "crosses an insertion shaft: lay it after the boxes are in"),
         ):
             found = self._shortest(seat, blocked, closed)
             if found is not None:

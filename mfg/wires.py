@@ -26,8 +26,8 @@ class WireSolver:
     Reference points are set off from the faces of the controller and from the side of each motor's housing where its
     holder's bone covers it; each snaps to the nearest surface vertex that a straight tunnel reaches past all hardware.
     Between them a shortest path follows mesh edges, a moving average smooths it, and points that came too near to
-    hardware are pushed out again. The farthest motor is served first; later cables keep away from earlier ones and
-    from the insertion shafts where they can, and a note says where they cannot.
+    hardware are pushed out again. The farthest motor is served first, or last where that fails; later cables keep clear
+    of earlier ones, and of the insertion shafts where they can: a note says where they cannot.
 
     Attributes:
         clearance: gap between cable and tunnel wall [m].
@@ -57,23 +57,38 @@ class WireSolver:
         net = Net(blueprint, hardware, radius, self.gap, self.stride, self.bridge)
         controller = blueprint.box("controller").T_design_box[:3, 3]
         away = [float(np.linalg.norm(seat.T_design_motor[:3, 3] - controller)) for seat in blueprint.seats]
+        farthest = sorted(range(len(away)), key=lambda k: (-away[k], k))
+        answer = self._routed(blueprint, net, hardware, radius, farthest)
+        if isinstance(answer, Failure):
+            # Whoever comes first takes the best way; the other order leaves the far cables what the near ones spare.
+            answer = self._routed(blueprint, net, hardware, radius, farthest[::-1])
+        if isinstance(answer, Failure):
+            return answer
+        runs, notes = answer
+        wires = tuple(runs[k] for k in range(len(away)))
+        length = sum(run.length for run in wires)
+        sharpest = max((curvature(run.path) for run in wires), default=0.0)
+        routed = replace(blueprint, wires=wires, notes=(*blueprint.notes, *notes))
+        return routed.scored(cable=cable_score(length, sharpest, blueprint.catalogue))
+
+    def _routed(
+        self, blueprint: Blueprint, net: Net, hardware: Hardware, radius: float, order: list[int]
+    ) -> tuple[dict[int, WireRun], list[str]] | Failure:
+        """Serve the seats in this order, every tunnel clear of all hardware and of the tunnels before it."""
         runs: dict[int, WireRun] = {}
-        sharpest = 0.0  # greatest curvature so far [1/m]
         notes = []
-        for k in sorted(range(len(away)), key=lambda k: (-away[k], k)):
+        for k in order:
             name = f"wire_{blueprint.hinges[blueprint.seats[k].hinge].body}"
-            found = net.route(k, [run.path for run in runs.values()])
+            earlier = [run.path for run in runs.values()]
+            found = net.route(k, earlier)
             if found is None:
-                return Failure(Stage.WIRE, Reason.NO_ROUTE, f"no way along the bones to the motor of {name}")
+                return Failure(Stage.WIRE, Reason.NO_ROUTE, f"no free way along the bones to the motor of {name}")
             rough, compromise = found
-            path, alone = self._smooth(rough, hardware, k, radius, [run.path for run in runs.values()])
+            path = self._smooth(rough, hardware, k, radius, earlier)
             if path is None:
-                return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} cannot be kept clear of motors and boxes")
-            if not alone and not compromise:
-                compromise = "shares a channel with an earlier wire"
-            bend = curvature(path)
+                return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} cannot be kept clear of motors, boxes and cables")
             # Two chords that turn by q have the curvature 2 sin(q / 2) / chord.
-            turn = 2 * math.asin(min(1.0, bend * CHORD / 2))
+            turn = 2 * math.asin(min(1.0, curvature(path) * CHORD / 2))
             if turn > self.max_turn:
                 return Failure(
                     Stage.WIRE,
@@ -81,7 +96,6 @@ class WireSolver:
                     f"{name} would turn by {math.degrees(turn):.0f} degrees within {2e3 * CHORD:.0f} mm, at most "
                     f"{math.degrees(self.max_turn):.0f} degrees can a cable be pushed around",
                 )
-            sharpest = max(sharpest, bend)
             runs[k] = WireRun(name, k, path, radius)
             if runs[k].length > self.max_length:
                 return Failure(
@@ -91,23 +105,18 @@ class WireSolver:
                 )
             if compromise:
                 notes.append(f"{name} {compromise}")
-        wires = tuple(runs[k] for k in range(len(away)))
-        length = sum(run.length for run in wires)
-        routed = replace(blueprint, wires=wires, notes=(*blueprint.notes, *notes))
-        return routed.scored(cable=cable_score(length, sharpest, blueprint.catalogue))
+        return runs, notes
 
-    def _smooth(
-        self, path: Array, hardware: Hardware, seat: int, radius: float, earlier: list[Array]
-    ) -> tuple[Array | None, bool]:
+    def _smooth(self, path: Array, hardware: Hardware, seat: int, radius: float, earlier: list[Array]) -> Array | None:
         """Moving average over evenly spaced points, ends fixed, then pushed out of whatever it came too near to.
 
         Where a wide average would cut through hardware or an earlier tunnel, a narrower one is taken.
 
         Returns:
-            The path, None where none keeps clear of hardware; and whether it keeps clear of the earlier tunnels too.
+            The path, or None where none keeps clear.
         """
         taken = cKDTree(np.concatenate([resampled(other, 0.001) for other in earlier])) if earlier else None
-        apart, second = 2 * radius + self.gap, None
+        apart = 2 * radius + self.gap
         need = hardware.needs(seat, radius, self.gap)[:, None]
         least = hardware.needs(seat, radius, 0.0)[:, None] - SAG
         rough = resampled(path, self.step)
@@ -127,12 +136,11 @@ class WireSolver:
                 which, points = worst[low], path[1:-1][low]
                 path[1 + low] += short[which, low][:, None] * hardware.outward(points, which)
             fine = resampled(path, 0.001)[1:-1]
-            if (hardware.distance(fine) >= least).all():
-                if taken is None or (np.asarray(taken.query(fine)[0]) >= 2 * radius).all():
-                    return path, True
-                second = path if second is None else second
+            alone = taken is None or bool((np.asarray(taken.query(fine)[0]) >= 2 * radius).all())
+            if alone and (hardware.distance(fine) >= least).all():
+                return path
             span //= 2
-        return second, False
+        return None
 
 
 def resampled(path: Array, step: float) -> Array:
