@@ -169,14 +169,13 @@ def surface_points(solid: Solid, spacing: float) -> NDArray[np.float64]:
 
 
 def conflict(blueprint: Blueprint, tunnels: Sequence[Solid], most: float) -> Failure | None:
-    """The first pair of motors, boxes and tunnels that share more than `most` [m3]; tunnels may share a channel."""
+    """The first pair of motors, boxes and tunnels that share more than `most` [m3]."""
     things = [
         (f"the motor of {blueprint.hinges[seat.hinge].name}", motor_solid(blueprint, seat)) for seat in blueprint.seats
     ]
     things += [(f"the {seat.kind}", box_solid(seat)) for seat in blueprint.boxes]
-    pairs = [*itertools.combinations(things, 2)]
-    pairs += [((wire.name, run), thing) for wire, run in zip(blueprint.wires, tunnels, strict=True) for thing in things]
-    for (name, a), (other, b) in pairs:
+    things += [(wire.name, run) for wire, run in zip(blueprint.wires, tunnels, strict=True)]
+    for (name, a), (other, b) in itertools.combinations(things, 2):
         shared = a.overlap(b)
         if shared > most:
             return Failure(Stage.PRINT, Reason.OVERLAP, f"{name} and {other} share {1e9 * shared:.1f} mm3")
