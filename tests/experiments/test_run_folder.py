@@ -48,7 +48,7 @@ def content(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("words", [[], ["--resume"]], ids=["anew", "resumed"])
-@pytest.mark.parametrize(("there", "now"), itertools.permutations(CONFIGS, 2))
+@pytest.mark.parametrize(("there", "now"), list(itertools.permutations(CONFIGS, 2)))
 def test_a_run_of_another_kind_is_refused_and_nothing_is_touched(
     bodyplan: Command, configs: dict[str, Path], tmp_path: Path, there: str, now: str, words: list[str]
 ) -> None:
