@@ -151,6 +151,7 @@ def simulator() -> Iterator[Row]:
 
     from mfg.description import describe
     from mfg.pipeline import score
+    from sim.actor import smooth_step
     from sim.gaits import decode, random_points
     from sim.model import compile_model, drive_of
     from sim.rollout import CONTROL_PERIOD, LEAD_IN, roll_out, settle
@@ -162,7 +163,7 @@ def simulator() -> Iterator[Row]:
     start = settle(model)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
     at = np.arange(round((LEAD_IN + GAIT_SECONDS) / CONTROL_PERIOD)) * CONTROL_PERIOD
-    fade = np.minimum(1.0, at / LEAD_IN)[:, None]
+    fade = smooth_step(at / LEAD_IN)[:, None]
     targets = [fade * gait.targets(at) for gait in gaits]
     data = mujoco.MjData(model)
 

@@ -226,7 +226,6 @@ def _set_home(bundle: Bundle, line: _Line, as_json: bool) -> int:
 
 
 def _run(bundle: Bundle, seconds: float, log: Path | None, line: _Line) -> dict[str, Any]:
-    import numpy as np
 
     from hardware.bus import MotorBus
     from hardware.control import Interrupted, drive
@@ -236,12 +235,12 @@ def _run(bundle: Bundle, seconds: float, log: Path | None, line: _Line) -> dict[
     schedule = Schedule(policy=seconds)
     length = schedule.passive + schedule.ramp + schedule.hold + schedule.policy + schedule.damping
     bar = progress(range(10**9), round(length / bundle.dt), "deploy")
-    track: list[tuple[float, Any]] = []
+    track: list[tuple[int, Any, Any]] = []
 
     def watch(tick: Tick) -> None:
         next(bar)
         if line.plant is not None and tick.state is State.POLICY:
-            track.append((tick.index * bundle.dt, line.plant.base_position))
+            track.append((tick.index, line.plant.centre_of_mass, line.plant.base_quaternion))
 
     with contextlib.ExitStack() as stack:
         journal = None if log is None else stack.enter_context(Journal(log, line.port, line.clock))
@@ -254,11 +253,7 @@ def _run(bundle: Bundle, seconds: float, log: Path | None, line: _Line) -> dict[
             summary, interrupted = stop.summary, True
     if summary.unconfirmed:
         say(f"motors {list(summary.unconfirmed)} did not confirm that they are off: cut the power")
-    speed = distance = None
-    if len(track) > 1:
-        (begin, start), (end, finish) = track[0], track[-1]
-        distance = float(np.hypot(*(finish - start)[:2]))
-        speed = distance / (end - begin)
+    speed, distance = _gone(track, schedule.blend, bundle.dt)
     return {
         "ticks": summary.ticks,
         "overruns": summary.overruns,
@@ -277,6 +272,31 @@ def _run(bundle: Bundle, seconds: float, log: Path | None, line: _Line) -> dict[
         "unconfirmed_off": list(summary.unconfirmed),
         "log": None if log is None else str(log),
     }
+
+
+def _gone(track: list[tuple[int, Any, Any]], lead_in: float, dt: float) -> tuple[float | None, float | None]:
+    """Speed along the best heading [m/s] and distance [m], by the law of a rollout; None if it was over too soon.
+
+    Args:
+        track: Index of the period, centre of mass and orientation of the root, while the policy ran.
+        lead_in: How long the policy takes over; it is not measured [s].
+        dt: Control period [s].
+    """
+    import numpy as np
+
+    from sim.rollout import body_velocity, turned
+
+    measured = [row for row in track if (row[0] - track[0][0]) * dt >= lead_in - 1e-9]
+    if len(measured) < 2:
+        return None, None
+    com, turns = np.array([row[1] for row in measured]), np.array([row[2] for row in measured])
+    _, yaw = turned(track[0][2], turns)
+    # A loop that was late has left periods out.
+    ticks = np.array([row[0] for row in measured])
+    steps = np.arange(ticks[0], ticks[-1] + 1)
+    com = np.stack([np.interp(steps, ticks, axis) for axis in com[:, :2].T], axis=-1)
+    velocity = body_velocity(com, np.interp(steps, ticks, np.unwrap(yaw)), dt)
+    return float(np.linalg.norm(velocity)), float(np.linalg.norm(com[-1] - com[0]))
 
 
 def _tell(result: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ from hardware.bus import Clock, MotorBus, MotorFault
 from hardware.home import check_pose, measure_pose
 from hardware.j60 import Code, Command, Reply
 from hardware.safety import DEFAULT_LIMITS, Limits, Sample, Trip
-from sim.actor import Bundle, BundleError, low_pass
+from sim.actor import Bundle, BundleError, low_pass, smooth_step
 from sim.observation import ObservationLayout
 
 Array = NDArray[np.float64]
@@ -255,7 +255,7 @@ class Robot:
             if trip is not None:
                 return self._target, trip
             low, high = self.bundle.column("range").T
-            weight = smooth_step(seconds / self.schedule.blend) if self.schedule.blend > 0.0 else 1.0
+            weight = smooth_step(seconds / self.schedule.blend) if self.schedule.blend > 0.0 else np.ones(())
             wanted = default + weight * (np.clip(action, low, high) - default)
             target = low_pass(self._target, wanted, periods * self.bundle.dt, self.bundle.time_constant)
         return target, safety.check_step(target, self._target, self.bundle, periods * self.bundle.dt)
@@ -270,7 +270,9 @@ class Robot:
             return dict.fromkeys(self._ids, Command(kd=self.schedule.damping_gain))
         if self.state not in (State.RAMP, State.HOLD, State.POLICY):
             return dict.fromkeys(self._ids, Command())
-        safe = safety.within_torque(self._target, self._position, self._velocity, self.bundle)
+        # The last replies came a period ago. Judged from there, a moving joint would be held back for no reason.
+        position = self._position + self._velocity * self.bundle.dt
+        safe = safety.within_torque(self._target, position, self._velocity, self.bundle)
         share = safety.derating(self._hottest(), self.limits)
         return {
             joint.can_id: Command(position=joint.sign * float(safe[i]), kp=joint.kp * float(share[i]), kd=joint.kd)
@@ -347,9 +349,3 @@ class Robot:
             except OSError:
                 unconfirmed.append(motor)
         self.unconfirmed = tuple(unconfirmed)
-
-
-def smooth_step(x: float) -> float:
-    """Go from 0 to 1 with no speed and no acceleration at either end, 10 x^3 - 15 x^4 + 6 x^5."""
-    x = min(max(x, 0.0), 1.0)
-    return x * x * x * (10.0 + x * (6.0 * x - 15.0))

@@ -28,6 +28,15 @@ class BundleError(ValueError):
     """A policy bundle is unusable; the message names the field, the value and the bound."""
 
 
+def smooth_step(x: ArrayLike) -> Array:
+    """Go from 0 to 1 with no speed and no acceleration at either end, 10 x^3 - 15 x^4 + 6 x^5, of any shape.
+
+    By this law a policy takes over from the pose before it, in simulation and on the motors.
+    """
+    x = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
+    return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
+
+
 class Actor(Protocol):
     """Anything that turns time and an observation into joint targets."""
 

@@ -90,6 +90,18 @@ class Plant:
         """Origin of the root in the world [m], (3,)."""
         return np.array(self._data.qpos[:3])
 
+    @property
+    def base_quaternion(self) -> Array:
+        """Orientation of the root in the world, w first, (4,)."""
+        return np.array(self._data.qpos[3:7])
+
+    @property
+    def centre_of_mass(self) -> Array:
+        """Of the whole robot, in the world [m], (3,)."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        return np.array(self._data.subtree_com[1])
+
     def imu(self) -> tuple[Array, Array]:
         """Direction of gravity (unit vector, down) and angular velocity [rad/s], both in the IMU frame, (3,) each."""
         mujoco.mj_kinematics(self._model, self._data)

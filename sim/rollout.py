@@ -12,7 +12,7 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from mfg.description import Description
-from sim.actor import Gait
+from sim.actor import Gait, smooth_step
 from sim.model import Model, body_length, compile_model, drive_of, model_name
 
 CONTROL_PERIOD = 0.02  # targets change at 50 Hz [s]
@@ -134,7 +134,11 @@ def settle(model: Model) -> NDArray[np.float64]:
     """
     data = mujoco.MjData(model)
     rest(model, data)
-    data.time = 0.0
+    qpos, qvel, warm = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
+    # The delayed controls carry the times at which they were given, so a clock that is only set back would make every
+    # later command look older than those of the fall, and it would be felt too early.
+    mujoco.mj_resetData(model, data)
+    data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = qpos, qvel, warm
     state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
     return state
@@ -166,7 +170,7 @@ def roll_out(
     start = settle(model) if start is None else start
     lead, length = round(LEAD_IN / CONTROL_PERIOD), max(1, round(seconds / CONTROL_PERIOD))
     at = np.arange(lead + length) * CONTROL_PERIOD
-    fade = np.minimum(1.0, at / LEAD_IN)[:, None]
+    fade = smooth_step(at / LEAD_IN)[:, None]
     control = np.stack([fade * gait.targets(at) for gait in gaits])
     substeps = _steps(model, CONTROL_PERIOD)
     simulations = batch.Batch(model, nsim=len(gaits), nthread=nthread, persistent=True)
@@ -185,7 +189,7 @@ def roll_out(
     power = torque[:, measured] * qvel[:, measured][:, :, drive_of(model).velocity]
     # The records follow each step, so the last one of the lead-in is the start of the measurement.
     rows = slice(lead * substeps - 1, None, substeps)
-    up, yaw = _turned(start[_quaternion(model)], qpos[:, rows, 3:7])
+    up, yaw = turned(start[_quaternion(model)], qpos[:, rows, 3:7])
     return Rollouts(
         qpos=qpos[:, rows], com=com[:, rows, 1], up=up, yaw=yaw,
         peak_torque=np.abs(torque[:, measured]).max(axis=1),
@@ -227,29 +231,37 @@ def measure(model: Model, rollouts: Rollouts, length: float | None = None) -> li
     return found
 
 
-def body_velocity(com: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+def body_velocity(
+    com: NDArray[np.float64], yaw: NDArray[np.float64], period: float = CONTROL_PERIOD
+) -> NDArray[np.float64]:
     """Mean velocity in the body's heading frame, by windows: mean over w of R(-yaw_w) (p_w+1 - p_w) / window.
 
     Args:
         com: centre of mass on the floor at control steps [m], (k, 2).
         yaw: heading of the body [rad], (k,).
+        period: of the control [s].
 
     Returns:
         (forward, left) [m/s], (2,), in the frame of yaw = 0.
     """
     steps = len(yaw) - 1
-    windows = max(1, round(steps * CONTROL_PERIOD / WINDOW))
+    windows = max(1, round(steps * period / WINDOW))
     edges = np.round(np.linspace(0, steps, windows + 1)).astype(int)
     moved, turn = np.diff(com[edges], axis=0), yaw[edges[:-1]]
     forward = np.cos(turn) * moved[:, 0] + np.sin(turn) * moved[:, 1]
     left = np.cos(turn) * moved[:, 1] - np.sin(turn) * moved[:, 0]
-    return np.array([forward.sum(), left.sum()]) / (steps * CONTROL_PERIOD)
+    return np.array([forward.sum(), left.sum()]) / (steps * period)
 
 
-def _turned(
+def turned(
     standing: NDArray[np.float64], quaternion: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the root's standing up and x directions point later: up (..., 3) and yaw (...)."""
+    """Where the root's standing up and x directions point later: up (..., 3) and yaw (...) [rad].
+
+    Args:
+        standing: quaternion of the root when it stood, w first, (4,).
+        quaternion: the later ones, (..., 4).
+    """
     inverse = standing * (1.0, -1.0, -1.0, -1.0)
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     a, b, c, d = inverse

@@ -9,9 +9,9 @@ from hardware import j60
 from hardware.bus import BusUnavailable, Frame, MotorFault, MotorSilent
 from hardware.control import drive
 from hardware.j60 import Code
-from hardware.robot import Schedule, State, Tick, smooth_step
+from hardware.robot import Schedule, State, Tick
 from hardware.virtual import Imperfection
-from sim.actor import Bundle, BundleError
+from sim.actor import Bundle, BundleError, smooth_step
 
 Make = Callable[..., Any]
 

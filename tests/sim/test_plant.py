@@ -11,8 +11,10 @@ from numpy.testing import assert_allclose
 
 from mfg.description import Description
 from mfg.parts import J60_6
-from sim.model import ModelError, make_spec
+from sim.actor import Gait, smooth_step
+from sim.model import ModelError, compile_model, drive_of, make_spec
 from sim.plant import TIMESTEP, Plant
+from sim.rollout import CONTROL_PERIOD, LEAD_IN, roll_out, settle
 
 LEGS = np.zeros(4)
 
@@ -132,3 +134,21 @@ def test_a_command_must_be_finite_and_of_the_right_size(quadruped: Description) 
         plant.step(LEGS + np.nan, LEGS, LEGS, LEGS, LEGS, 0.01)
     with pytest.raises(ValueError, match="broadcast"):
         plant.step(np.zeros(3), LEGS, LEGS, LEGS, LEGS, 0.01)
+
+
+def test_a_rollout_and_the_plant_go_the_same_way(quadruped: Description) -> None:
+    """From the same rest under the same targets they are one physics, the latency included."""
+    model = compile_model(quadruped, timestep=TIMESTEP)
+    gait, seconds = Gait(1.3, LEGS + 0.4, np.array([0.0, 3.0, 3.0, 0.0]), LEGS + 0.1), 2.0
+    rolled = roll_out(model, [gait], seconds, settle(model)).qpos[0]
+    plant = Plant.of(quadruped)
+    kp, kd = LEGS + J60_6.stiffness, LEGS + J60_6.damping
+    for _ in range(25):  # a limp motor must hold again before the gait, as it does in a rollout
+        plant.step(LEGS, LEGS, kp, kd, LEGS, CONTROL_PERIOD)
+    joints = []
+    for k in range(round((LEAD_IN + seconds) / CONTROL_PERIOD)):
+        t = k * CONTROL_PERIOD
+        plant.step(smooth_step(t / LEAD_IN) * gait.targets(t), LEGS, kp, kd, LEGS, CONTROL_PERIOD)
+        joints.append(plant.joint_positions)
+    expected = rolled[:, drive_of(model).position]
+    assert_allclose(np.array(joints)[-len(expected) :], expected, atol=0.01)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from mfg.description import Description
-from sim.actor import Gait
+from sim.actor import Gait, smooth_step
 from sim.model import Model, body_length, compile_model
 from sim.rollout import (
     CONTROL_PERIOD,
@@ -59,7 +59,7 @@ def test_a_rollout_is_a_plain_loop_of_steps(model: Model) -> None:
     positions = []
     for k in range(round((LEAD_IN + seconds) / CONTROL_PERIOD)):
         t = k * CONTROL_PERIOD
-        data.ctrl[:] = min(1.0, t / LEAD_IN) * gait.targets(t)
+        data.ctrl[:] = smooth_step(t / LEAD_IN) * gait.targets(t)
         mujoco.mj_step(model, data, nstep=5)
         positions.append(data.qpos.copy())
     lead = round(LEAD_IN / CONTROL_PERIOD)
@@ -172,3 +172,15 @@ def test_a_slow_curve_keeps_its_speed_and_a_fast_spin_has_none() -> None:
     assert np.linalg.norm(body_velocity(*circle(5.0))) < 1e-9
     there_and_back = 0.3 * np.abs(np.mod(PERIOD, 2.0) - 1.0)[:, None] * [1.0, 0.0]
     assert np.linalg.norm(body_velocity(there_and_back, np.zeros(501))) < 1e-9
+
+
+def test_a_rollout_feels_a_command_after_the_latency(model: Model) -> None:
+    """The fall before a rollout leaves nothing in the delay line that would let commands through early."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, settle(model), mujoco.mjtState.mjSTATE_INTEGRATION)
+    felt = []
+    for _ in range(8):
+        data.ctrl[:] = 0.2
+        mujoco.mj_step(model, data)
+        felt.append(bool(data.actuator_force[0] > 2.0))
+    assert felt.index(True) == round(model.actuator_delay[0] / model.opt.timestep)
