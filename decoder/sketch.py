@@ -8,8 +8,8 @@ A sketch is a MagicaVoxel model of at most 62 x 62 x 62 voxels, z up. The palett
     200         soft tissue of the nearest bone
     250         hinge: a straight run of two or more voxels; its middle is the joint, its direction the hinge axis
 
-A hinge joins the two segments nearest to its middle; its voxels become bone of the nearer one. Two segments that touch
-without a hinge between them get an inferred one, unless that would close a loop.
+A hinge joins the two segments nearest to its middle, both within 4 voxels of it; its voxels become bone of the nearer
+one. Two segments that touch without a hinge between them get an inferred one, unless that would close a loop.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ LARGEST = GRID - 2  # voxels along a side, so that a margin of one is left
 RANGE = 1.0  # how far a painted joint may turn either way before the motion solver narrows it [rad]
 MIN_CONTACT = 4  # voxel faces that two segments must share to be joined by an inferred hinge
 ELONGATED = 1.3  # a contact patch this much longer than wide tells the hinge axis
+HINGE_REACH = 4.0  # voxels from the middle of a painted hinge within which it must find two segments
 EVERY_NEIGHBOUR = np.ones((3, 3, 3), bool)
 
 PALETTE: dict[int, Colour] = {
@@ -120,9 +121,15 @@ def _painted_hinges(painted: NDArray[np.uint8], segment: NDArray[np.int16], pitc
         spread, axes = np.linalg.eigh(np.cov(centres.T))
         if spread[2] <= 4 * spread[1]:
             raise DesignError(f"the hinge around {middle.round(3).tolist()} m is a blob; paint a straight line")
-        near = sorted(known, key=lambda s: (float(np.linalg.norm(bones[s] - middle, axis=1).min()), s))
+        away = {s: float(np.linalg.norm(bones[s] - middle, axis=1).min()) for s in known}
+        near = sorted(known, key=lambda s: (away[s], s))
         if len(near) < 2:
             raise DesignError("a hinge joins two segments, but the sketch has only one")
+        if away[near[1]] > HINGE_REACH * pitch:
+            raise DesignError(
+                f"the hinge around {middle.round(3).tolist()} m is {away[near[1]] / pitch:.0f} voxels from segment "
+                f"{near[1]}; it must lie within {HINGE_REACH:g} voxels of the two segments it joins"
+            )
         a, b = sorted(near[:2])
         joints.append(Joint(middle, _upright(axes[:, 2]), np.array([-RANGE, RANGE]), a, b))
         for voxel, centre in zip(voxels, centres, strict=True):

@@ -89,6 +89,7 @@ def test_soft_tissue_keeps_its_owner() -> None:
         (lambda i: _marked(i, [(12, 4, 4)]), "single voxel"),
         (lambda i: _marked(i, [(x, y, z) for x in (11, 12) for y in (3, 4) for z in (3, 4)]), "blob"),
         (lambda i: _marked(np.minimum(i, 1), [(12, 4, 3), (12, 4, 4), (12, 4, 5)]), "only one"),
+        (lambda i: _marked(np.pad(i, ((0, 0), (0, 12), (0, 0))), [(12, 16, 3), (12, 16, 4)]), "within 4 voxels"),
     ],
 )
 def test_what_cannot_be_understood_is_said(paint, words: str) -> None:  # type: ignore[no-untyped-def]
