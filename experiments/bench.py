@@ -20,8 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from experiments.cli import VERSION
-from experiments.output import count, make_folder, progress, say
+from experiments.output import VERSION, count, make_folder, progress, say
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign

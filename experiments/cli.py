@@ -12,9 +12,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study
-from experiments.output import BAD_INPUT, DEFECT, INTERRUPTED, BadInput, say
-
-VERSION = "0.1.0"
+from experiments.output import BAD_INPUT, DEFECT, INTERRUPTED, VERSION, BadInput, say
 
 # In the order in which a new user meets them. Their files import nothing heavy until they run.
 COMMANDS = {

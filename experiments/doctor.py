@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.output import BAD_INPUT, DONE, emit, say
+from experiments.output import BAD_INPUT, DONE, VERSION, emit, say
 
 HELP = "versions, GPU, GL, slicer, CAN interfaces: what works here"
 
@@ -82,8 +82,6 @@ def _dependency(distribution: str, module: str) -> Finding:
 
 def _machine() -> list[Finding]:
     import os
-
-    from experiments.cli import VERSION
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     findings = [

@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+VERSION = "0.1.0"
+
 DONE = 0  # exit status: it worked
 INFEASIBLE = 1  # exit status: the design cannot be built, and the reason was printed
 BAD_INPUT = 2  # exit status: bad input or configuration

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import BadInput, say
+from experiments.output import VERSION, BadInput, say
 
 if TYPE_CHECKING:
     from evo.record import Record
@@ -176,8 +176,6 @@ def versions() -> dict[str, str]:
     """Of this program and of what its results depend on."""
     import platform
     from importlib.metadata import version
-
-    from experiments.cli import VERSION
 
     return {"bodyplan": VERSION, "python": platform.python_version(), **{name: version(name) for name in DEPENDENCIES}}
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 from mfg.blueprint import Blueprint, Body, Hinge
 from mfg.bones import bounding_window, largest_piece
 from mfg.fields import OUTSIDE, Field, coverage
+from mfg.mounts import motor_pose
 from mfg.outcome import Failure, Reason, Stage
 
 
@@ -99,11 +100,7 @@ class _CylindricalPair:
 
     @staticmethod
     def sample(parent: Field, child: Field, hinge: Hinge, theta: MotionSolver) -> _CylindricalPair | None:
-        z = hinge.axis
-        helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-        x = helper - (helper @ z) * z
-        x /= np.linalg.norm(x)
-        frame = np.stack([x, np.cross(z, x), z])
+        frame = motor_pose(hinge.position, hinge.axis, 0.0)[:3, :3].T
         reach = [_reach(f, hinge.position, frame) for f in (parent, child)]
         r_low, r_high = max(r[0] for r in reach), min(r[1] for r in reach)
         z_low, z_high = max(r[2] for r in reach), min(r[3] for r in reach)
