@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -17,20 +13,13 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from decoder.design_file import FORMAT, VERSION, read_arrays, write_arrays
+from decoder.design_file import DesignError as DesignError
+
 GRID = 64  # voxels along each side of the grid
 DEFAULT_PITCH = 0.010  # edge of one voxel [m]; a body is then 0.3 to 0.64 m
-FORMAT = "bodyplan-design"
-VERSION = 1
-# What numpy and zipfile raise on bytes that are no archive, or one that was cut or altered.
-_DAMAGED = (
-    ValueError, TypeError, SyntaxError, KeyError, EOFError, OSError, OverflowError, MemoryError, RuntimeError,
-    NotImplementedError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-_ARRAYS = ("format", "version", "material", "segment", "pitch", "position", "axis", "range", "link", "confidence")
-
-
-class DesignError(ValueError):
-    """A design that breaks an invariant of the type, or a file that does not hold a design."""
+DEPTH_UNIT = 16  # steps of a stored depth in one voxel
+DEPTH_LIMIT = 127  # stored depths end here, about 8 voxels from the surface
 
 
 class Material(IntEnum):
@@ -92,6 +81,9 @@ class VoxelDesign:
             the id of the segment it belongs to, or 0 for "the nearest bone"; an empty voxel carries 0.
         pitch: edge of a voxel [m].
         joints: the hinges; together they never close a loop.
+        depth: where known, how deep every voxel's centre lies in the bones [0] and in the body, bones and soft tissue
+            together [1], in 1/16 voxel, negative outside, ending at +-127; shape (2, 64, 64, 64), i8. Bone depth is
+            above 0 exactly where material is rigid, body depth exactly where it is not empty. See `quantised`.
 
     Raises:
         DesignError: naming the invariant that is broken, the value, the bound and the remedy.
@@ -101,6 +93,7 @@ class VoxelDesign:
     segment: NDArray[np.int16]
     pitch: float = DEFAULT_PITCH
     joints: tuple[Joint, ...] = field(default=())
+    depth: NDArray[np.int8] | None = None
 
     def __post_init__(self) -> None:
         """Freeze copies of the arrays and check every invariant."""
@@ -122,6 +115,9 @@ class VoxelDesign:
         if self.segment[self.material == Material.EMPTY].any():
             raise DesignError("an empty voxel has a segment id; empty voxels carry segment 0")
         _check_margin(self.material)
+        if self.depth is not None:
+            object.__setattr__(self, "depth", _grid(self.depth, "depth", np.int8, (2, GRID, GRID, GRID)))
+            _check_depth(self.depth, self.material)
         known = set(self.segments)
         claimed = set(np.unique(self.segment[self.material == Material.SOFT]).tolist()) - {0}
         if not claimed <= known:
@@ -147,19 +143,20 @@ class VoxelDesign:
         digest.update(self.segment.astype("<i2").tobytes())
         for array in self._joint_arrays().values():
             digest.update(array.tobytes())
+        if self.depth is not None:
+            digest.update(self.depth.tobytes())
         return digest.hexdigest()[:16]
 
     def save(self, path: Path | str | BinaryIO) -> None:
         """Write a versioned .npz without pickle, to a path or an open binary file."""
-        arrays: dict[str, Any] = {
-            "format": np.array(FORMAT),
-            "version": np.array(VERSION),
+        arrays: dict[str, NDArray[Any]] = {
             "material": self.material,
             "segment": self.segment,
             "pitch": np.array(self.pitch),
             **self._joint_arrays(),
+            **({} if self.depth is None else {"depth": self.depth}),
         }
-        np.savez_compressed(path, **arrays)
+        write_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: Path | str) -> VoxelDesign:
@@ -169,23 +166,12 @@ class VoxelDesign:
             DesignError: if the file is truncated, foreign, pickled, of another version or breaks an invariant.
             OSError: if it cannot be read at all.
         """
-        with open(path, "rb") as file:  # Opened here: numpy forgets to close a file that it cannot read.
-            try:
-                with np.load(file, allow_pickle=False) as archive:
-                    if not isinstance(archive, np.lib.npyio.NpzFile):
-                        raise DesignError("this is a single array")
-                    stored = {name: archive[name] for name in _ARRAYS if name in archive.files}
-            except _DAMAGED as error:
-                raise DesignError(f"{path}: not a readable design archive ({_first_line(error)})") from error
-        missing = [name for name in _ARRAYS if name not in stored]
-        if missing:
-            raise DesignError(f"{path}: not a design archive, it lacks {', '.join(missing)}")
-        if str(stored["format"]) != FORMAT:
-            raise DesignError(f"{path}: format is {str(stored['format'])!r}, expected {FORMAT!r}")
-        if stored["version"].size != 1 or stored["version"].dtype.kind not in "iu" or int(stored["version"]) != VERSION:
-            raise DesignError(f"{path}: version is {stored['version']}, this program reads version {VERSION}")
+        stored = read_arrays(path)
         try:
-            return cls(stored["material"], stored["segment"], _scalar(stored["pitch"]), tuple(_joints(stored)))
+            return cls(
+                stored["material"], stored["segment"], _scalar(stored["pitch"]), tuple(_joints(stored)),
+                stored.get("depth"),
+            )  # fmt: skip
         except DesignError as error:
             raise DesignError(f"{path}: {error}") from None
 
@@ -198,6 +184,21 @@ class VoxelDesign:
             "link": np.array([(j.parent, j.child) for j in self.joints], "<i4").reshape(n, 2),
             "confidence": np.array([j.confidence for j in self.joints], "<f8").reshape(n),
         }
+
+
+def quantised(bone: NDArray[np.floating], body: NDArray[np.floating]) -> NDArray[np.int8]:
+    """Depths [voxels] in bones and in the body, (64, 64, 64) each, as `VoxelDesign.depth`, (2, 64, 64, 64).
+
+    Rounded to the nearest 1/16, but never to 0: a depth above 0 stays above, and all others (0 too) become negative.
+
+    Raises:
+        DesignError: if a depth is not a number.
+    """
+    depth = np.stack([bone, body]).astype(np.float64) * DEPTH_UNIT
+    if np.isnan(depth).any():
+        raise DesignError(f"depth is not a number at {np.isnan(depth).sum()} voxels; it must be known everywhere")
+    steps = np.where(depth > 0, np.maximum(np.rint(depth), 1), np.minimum(np.rint(depth), -1))
+    return steps.clip(-DEPTH_LIMIT, DEPTH_LIMIT).astype(np.int8)
 
 
 def _frozen(value: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -213,10 +214,10 @@ def _frozen(value: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np.f
     return array
 
 
-def _grid(value: ArrayLike, name: str, dtype: type) -> NDArray[Any]:
+def _grid(value: ArrayLike, name: str, dtype: type, shape: tuple[int, ...] = (GRID, GRID, GRID)) -> NDArray[Any]:
     array = np.asarray(value)
-    if array.shape != (GRID, GRID, GRID):
-        raise DesignError(f"{name} has shape {array.shape}, expected ({GRID}, {GRID}, {GRID})")
+    if array.shape != shape:
+        raise DesignError(f"{name} has shape {array.shape}, expected {shape}")
     if array.dtype.kind not in "iu":
         raise DesignError(f"{name} holds {array.dtype}; it must hold whole numbers")
     info = np.iinfo(dtype)
@@ -241,6 +242,16 @@ def _check_margin(material: NDArray[np.uint8]) -> None:
                     f"the body touches the border of the grid ({letter} = {index}); "
                     f"keep it within voxels 1 to {GRID - 2}: move it or make it smaller"
                 )
+
+
+def _check_depth(depth: NDArray[np.int8], material: NDArray[np.uint8]) -> None:
+    bone = int(((depth[0] > 0) != (material == Material.RIGID)).sum())
+    body = int(((depth[1] > 0) != (material != Material.EMPTY)).sum())
+    if bone or body:
+        raise DesignError(
+            f"depth and material disagree at {bone} voxels of bone and {body} of body; bone depth must be above 0 "
+            f"exactly at rigid voxels, body depth exactly at voxels that are not empty"
+        )
 
 
 def _check_joints(joints: tuple[Joint, ...], known: set[int], bounds: NDArray[np.float64]) -> None:
@@ -282,7 +293,3 @@ def _joints(stored: dict[str, NDArray[Any]]) -> Iterator[Joint]:
         parent, child = (int(v) for v in arrays["link"][i])
         yield Joint(arrays["position"][i], arrays["axis"][i], arrays["range"][i], parent, child,
                     float(arrays["confidence"][i]))  # fmt: skip
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:120]

@@ -13,8 +13,9 @@ import pytest
 from bodies import ellipsoid, painted
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from decoder.design import GRID, DesignError, Joint, VoxelDesign
+from decoder.design import DEPTH_LIMIT, DEPTH_UNIT, GRID, DesignError, Joint, VoxelDesign, quantised
 
 Y = (0.0, 1.0, 0.0)
 
@@ -209,3 +210,78 @@ def test_damage_never_ends_in_anything_but_a_design_error(tmp_path: Path, cut: i
     else:
         assert design.material.shape == (GRID,) * 3  # The damage hit a byte that carries no meaning.
     assert "\n" not in refusal
+
+
+def with_depth(**change: Any) -> VoxelDesign:
+    """`two_bones` with the depths of their voxels' centres, bare of soft tissue."""
+    base = two_bones()
+    inside = np.where(base.material == 2, 1.7, -2.3)
+    fields = {"material": base.material, "segment": base.segment, "pitch": base.pitch, "joints": base.joints}
+    return VoxelDesign(**(fields | {"depth": quantised(inside, inside)} | change))
+
+
+def test_depth_is_kept_and_is_part_of_the_key(tmp_path: Path) -> None:
+    design = with_depth()
+    design.save(tmp_path / "d.npz")
+    copy = VoxelDesign.load(tmp_path / "d.npz")
+    assert copy.depth is not None
+    assert copy.depth.dtype == np.int8
+    np.testing.assert_array_equal(copy.depth, design.depth)
+    assert copy.key == design.key
+    deeper = design.depth.copy()
+    deeper[0, 32, 32, 32] -= 1
+    assert len({design.key, with_depth(depth=deeper).key, two_bones().key}) == 3
+    with pytest.raises(ValueError, match="read-only"):
+        design.depth[0, 0, 0, 0] = 1
+
+
+def test_a_design_without_depth_keeps_its_key_and_its_file(hinge: VoxelDesign, tmp_path: Path) -> None:
+    assert hinge.key == "1d8d7576cf45a1ce"
+    hinge.save(tmp_path / "d.npz")
+    with np.load(tmp_path / "d.npz") as archive:
+        assert "depth" not in archive.files
+    assert VoxelDesign.load(tmp_path / "d.npz").depth is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    {
+        "bone": "disagree at 1 voxels of bone and 0 of body",
+        "body": "disagree at 0 voxels of bone and 1 of body",
+        "shape": "expected (2, 64, 64, 64)",
+        "dtype": "depth holds float64",
+        "range": "[-128, 127]",
+    }.items(),
+)
+def test_a_depth_that_breaks_its_law_is_refused_by_name(change: str, words: str) -> None:
+    depth: Any = with_depth().depth.astype(np.int16)
+    if change == "bone":
+        depth[0, 25, 32, 32] = 0
+    elif change == "body":
+        depth[1, 5, 5, 5] = 1
+    elif change == "shape":
+        depth = depth[0]
+    elif change == "dtype":
+        depth = depth.astype(float)
+    elif change == "range":
+        depth[0, 25, 32, 32] = 200
+    with pytest.raises(DesignError) as caught:
+        with_depth(depth=depth)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@given(depth=hnp.arrays(np.float64, (3, 4, 5), elements=st.floats(-50, 50) | st.sampled_from([0.0, 1e-9, -1e-9])))
+def test_quantised_depth_keeps_the_sign_and_is_within_a_step(depth: np.ndarray) -> None:
+    steps = quantised(depth, -depth)
+    assert steps.dtype == np.int8
+    np.testing.assert_array_equal(steps[0] > 0, depth > 0)
+    near = np.abs(depth) <= DEPTH_LIMIT / DEPTH_UNIT
+    assert np.abs(steps[0] / DEPTH_UNIT - depth)[near].max(initial=0) <= 1 / DEPTH_UNIT
+    np.testing.assert_array_equal(np.abs(steps[0][~near]), DEPTH_LIMIT)
+    np.testing.assert_array_equal(steps[0][depth != 0], -steps[1][depth != 0])  # Inside and outside alike.
+
+
+def test_quantised_refuses_what_is_not_a_number() -> None:
+    with pytest.raises(DesignError, match="depth is not a number at 1 voxels"):
+        quantised(np.array([1.0, np.nan]), np.ones(2))
