@@ -8,9 +8,9 @@ import math
 import re
 import tomllib
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 from msgspec import Meta, Struct
@@ -20,6 +20,8 @@ from experiments.output import MOST_BODIES, SEED_BOUND, BadInput
 if TYPE_CHECKING:
     from evo.fitness import FitnessRule
     from sim.gaits import GaitBudget
+
+S = TypeVar("S", bound=Struct)
 
 Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
 Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
@@ -206,16 +208,41 @@ def load_config(path: Path) -> Config:
         BadInput: naming the file, the key, its value, what is allowed and, for a typo, what was probably meant.
         OSError: if it cannot be read.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise BadInput(f"{path} is not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path} is not a TOML file: {error}") from None
+    document = read_document(path)
     config = parse_config(document, str(path))
     if isinstance(config, Sketch):
         return msgspec.structs.replace(config, design=str((path.parent / config.design).resolve()))
     return config
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        BadInput: if it is none.
+        OSError: if it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise BadInput(f"{path} is not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path} is not a TOML file: {error}") from None
+
+
+def checked(document: dict[str, Any], record: type[S], name: str) -> S:
+    """Turn a document into its record.
+
+    Args:
+        document: tables and values.
+        record: what it must hold.
+        name: of the file, for messages.
+
+    Raises:
+        BadInput: naming the key, its value, what is allowed and, for a typo, what was probably meant.
+    """
+    _refuse(document, record, name, "")
+    return msgspec.convert(document, record)
 
 
 def parse_config(document: dict[str, Any], name: str) -> Config:
@@ -233,13 +260,13 @@ def parse_config(document: dict[str, Any], name: str) -> Config:
         known = " | ".join(f'"{k}"' for k in KINDS)
         if kind is None:
             raise BadInput(f"{name}: kind is missing; add a line kind = {known}")
+        if kind == "train-decoder":
+            raise BadInput(f'{name}: kind = "{kind}"; give this file to `bodyplan train-decoder`')
         raise BadInput(f"{name}: kind = {_shown(kind)}; it must be {known}{_remedy('kind', kind, list(KINDS))}")
-    _refuse(document, KINDS[kind], name, "")
-    config: Config = msgspec.convert(document, KINDS[kind])
-    return config
+    return checked(document, KINDS[kind], name)
 
 
-def to_toml(config: Config) -> str:
+def to_toml(config: Struct) -> str:
     """Write a configuration with every value, so that it says all there is to say about a run."""
     return "".join(_toml_table(msgspec.to_builtins(config), ""))
 
@@ -250,10 +277,10 @@ def config_hash(config: Config) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-def differences(then: Config, now: Config) -> list[str]:
-    """What two configurations disagree on, as far as it can change a result."""
+def differences(then: Struct, now: Struct, free: Sequence[str] = NO_RESULT) -> list[str]:
+    """What two configurations disagree on, but for the keys that are free to differ: those that change no result."""
     before, after = dict(_flat(then)), dict(_flat(now))
-    keys = [key for key in {**before, **after} if key not in NO_RESULT and before.get(key) != after.get(key)]
+    keys = [key for key in {**before, **after} if key not in free and before.get(key) != after.get(key)]
     return [f"{key} was {_shown(before.get(key))} and is now {_shown(after.get(key))}" for key in keys]
 
 
@@ -321,7 +348,7 @@ def _shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _flat(config: Config) -> Iterator[tuple[str, Any]]:
+def _flat(config: Struct) -> Iterator[tuple[str, Any]]:
     """Every value under its dotted key, in order."""
 
     def walk(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

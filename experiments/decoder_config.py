@@ -1,0 +1,91 @@
+"""The configuration of `bodyplan train-decoder`: TOML in, a frozen record out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from experiments.config import Seed, Workers, checked, read_document
+from experiments.output import BadInput
+
+KIND = "train-decoder"
+HELD_OUT_SEED = 2**62 + 1  # of the bodies that the curve is measured on; no training may draw from it
+# Keys that change neither what is learned nor how: a run may be resumed with other values of them. Where and how
+# precisely the sums are made is among them, and a change is told, for it changes rounding.
+FREE = ("device", "precision", "threads", "checkpoint_every", "evaluate_every", "evaluate_bodies", "evaluation.bodies",
+        "evaluation.samples")  # fmt: skip
+
+
+class Evaluation(Struct, frozen=True, forbid_unknown_fields=True):
+    """The closing evaluation, by which two sets of weights are compared.
+
+    Attributes:
+        bodies: held-out bodies that are encoded and decoded.
+        samples: latents drawn from the prior and decoded.
+    """
+
+    bodies: Annotated[int, Meta(ge=1, le=100_000)] = 500
+    samples: Annotated[int, Meta(ge=2, le=100_000)] = 1000
+
+
+class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
+    """A training of the learned decoder.
+
+    Attributes:
+        kind: "train-decoder".
+        seed: of everything random.
+        start: "shipped" goes on from the weights of the package where there are some, "scratch" from nothing.
+        steps: of the optimiser, in all; the learning rate falls towards the last.
+        batch: bodies per step.
+        learning_rate: the greatest.
+        warmup: steps over which the learning rate rises.
+        ema: decay per step of the running mean of the weights, which is what is kept.
+        device: where; "auto" takes a GPU if there is one.
+        precision: of the sums; "auto" is bf16 on a GPU, if it agrees with fp32 on one batch, and fp32 elsewhere.
+        threads: on the CPU; 0 is one per core.
+        checkpoint_every: steps between checkpoints, the most that a crash can cost.
+        evaluate_every: steps between rows of the curve.
+        evaluate_bodies: held-out bodies per row.
+        evaluation: the closing one.
+    """
+
+    kind: Literal["train-decoder"]
+    seed: Seed = 0
+    start: Literal["shipped", "scratch"] = "shipped"
+    steps: Annotated[int, Meta(ge=1, le=100_000_000)] = 10_000
+    batch: Annotated[int, Meta(ge=1, le=65_536)] = 16
+    learning_rate: Annotated[float, Meta(gt=0.0, le=1.0)] = 5e-4
+    warmup: Annotated[int, Meta(ge=0, le=1_000_000)] = 200
+    ema: Annotated[float, Meta(ge=0.0, le=0.999999)] = 0.999
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    threads: Workers = 0
+    checkpoint_every: Annotated[int, Meta(ge=1, le=1_000_000)] = 200
+    evaluate_every: Annotated[int, Meta(ge=1, le=10_000_000)] = 500
+    evaluate_bodies: Annotated[int, Meta(ge=1, le=10_000)] = 16
+    evaluation: Evaluation = Evaluation()
+
+
+def load_decoder_config(path: Path) -> TrainDecoder:
+    """Read a configuration file.
+
+    Raises:
+        BadInput: naming the file, the key, its value and what is allowed.
+        OSError: if it cannot be read.
+    """
+    document = read_document(path)
+    kind = document.get("kind")
+    if kind is None:
+        raise BadInput(f'{path}: kind is missing; add a line kind = "{KIND}"')
+    if kind in ("evolve", "study", "sketch"):
+        raise BadInput(f'{path}: kind = "{kind}"; it must be "{KIND}" here: give this file to `bodyplan run`')
+    config = checked(document, TrainDecoder, str(path))
+    if config.seed == HELD_OUT_SEED:
+        raise BadInput(f"{path}: seed = {config.seed}; that seed is kept for held-out bodies: choose another")
+    if config.warmup >= config.steps > 1:
+        raise BadInput(f"{path}: warmup = {config.warmup}; it must be less than steps = {config.steps}")
+    if config.device == "cpu" and config.precision == "bf16":
+        raise BadInput(f'{path}: precision = "bf16" needs a GPU and device is "cpu"; write precision = "auto"')
+    return config
