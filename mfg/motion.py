@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body, Hinge
-from mfg.bones import bounding_window, largest_piece
+from mfg.bones import largest_piece
 from mfg.fields import OUTSIDE, Field, coverage
 from mfg.mounts import motor_pose
 from mfg.outcome import Failure, Reason, Stage
+from mfg.voxel_fields import bounding_window
 
 
 @dataclass(frozen=True)

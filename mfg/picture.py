@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.design import Material, VoxelDesign
+from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
-from mfg.bones import smooth_field
 from mfg.fields import Field
 from mfg.mounts import housing, motor_pose, mount_of
 from mfg.render import Colour, Shape, render
 from mfg.skins import soft_owner
 from mfg.solids import Solid, ball_chain, box, cylinder, from_field
+from mfg.voxel_fields import bone_field, whole_field
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Canvas
@@ -35,6 +35,7 @@ BONES: tuple[Colour, ...] = (
     (0.90, 0.88, 0.70), (0.86, 0.80, 0.92), (0.76, 0.90, 0.88),
 )  # fmt: skip
 SKIN_ALPHA = 0.28
+SMOOTHING = 0.8  # of the surfaces of a bare design, as in the solvers [voxels]
 SURFACE = 1.5e-3  # a triangle of a skin shallower than this belongs to its outer surface [m]
 AXIS_RADIUS, AXIS_LENGTH = 0.004, 0.15  # of the rod that shows a hinge [m]
 LABEL_HEIGHT = 34  # of one line of text under a picture [pixels]
@@ -50,11 +51,10 @@ def design_shapes(design: VoxelDesign) -> list[Shape]:
     shapes = []
     owner = soft_owner(design)
     for index, segment in enumerate(design.segments):
-        bone = (design.segment == segment) & (design.material == Material.RIGID)
-        shapes.append(_shape(from_field(smooth_field(bone, design.pitch, 0.8)), BONES[index % len(BONES)]))
+        shapes.append(_shape(from_field(bone_field(design, segment, SMOOTHING)), BONES[index % len(BONES)]))
         soft = owner == segment
         if soft.any():
-            whole = from_field(smooth_field(soft | bone, design.pitch, 0.8))
+            whole = from_field(whole_field(design, segment, soft, SMOOTHING))
             shapes.append(_shape(whole, SKIN, SKIN_ALPHA))
     shapes += [axis_rod(joint.position, joint.axis) for joint in design.joints]
     return shapes

@@ -10,10 +10,11 @@ from scipy import ndimage
 
 from decoder.design import GRID, Material, VoxelDesign
 from mfg.blueprint import Blueprint, Body
-from mfg.bones import bounding_window, cut_cylinder, smooth_field
+from mfg.bones import cut_cylinder
 from mfg.fields import OUTSIDE, Field
 from mfg.mounts import mount_of
 from mfg.outcome import Failure
+from mfg.voxel_fields import bounding_window, smooth_field, whole_field
 
 
 @dataclass(frozen=True)
@@ -40,15 +41,11 @@ class SkinSolver:
         """Return the blueprint with `skin` set on every body that has soft tissue."""
         design = blueprint.design
         owner = soft_owner(design)
-        owner[self._near_joint(design)] = 0
-        outer: list[Field | None] = []
-        for body in blueprint.bodies:
-            soft = self._opened(owner == body.segment, (design.segment == body.segment) & rigid(design))
-            if soft is None:
-                outer.append(None)
-                continue
-            smooth = smooth_field(soft, design.pitch, self.smoothing)
-            outer.append(smooth.with_values(np.maximum(smooth.values, body.bone.on_lattice_of(smooth))))
+        if design.depth is None:
+            owner[self._near_joint(design)] = 0
+            outer = [self._from_labels(design, owner == body.segment, body) for body in blueprint.bodies]
+        else:
+            outer = [self._from_depth(design, owner == body.segment, body) for body in blueprint.bodies]
         radius = mount_of(blueprint.catalogue.motor).attach_radius
         bodies = []
         for index, (body, whole) in enumerate(zip(blueprint.bodies, outer, strict=True)):
@@ -61,6 +58,35 @@ class SkinSolver:
                     field = cut_cylinder(field, hinge.position, hinge.axis, radius, self.cut_half_length)
             bodies.append(replace(body, skin=field))
         return replace(blueprint, bodies=tuple(bodies))
+
+    def _from_labels(self, design: VoxelDesign, soft: NDArray[np.bool_], body: Body) -> Field | None:
+        """Surface of a body with soft voxels clear of joints, or None where no soft tissue is left."""
+        kept = self._opened(soft, (design.segment == body.segment) & rigid(design))
+        if kept is None:
+            return None
+        smooth = smooth_field(kept, design.pitch, self.smoothing)
+        return smooth.with_values(np.maximum(smooth.values, body.bone.on_lattice_of(smooth)))
+
+    def _from_depth(self, design: VoxelDesign, soft: NDArray[np.bool_], body: Body) -> Field | None:
+        """The same from the design's own depth and all soft voxels: cleared and opened as a field."""
+        if not soft.any():
+            return None
+        whole = whole_field(design, body.segment, soft, self.smoothing)
+        values, bone = whole.values, body.bone.on_lattice_of(whole)
+        for joint in design.joints:
+            x, y, z = (np.square(a - np.float32(c)) for a, c in zip(whole.axes(), joint.position, strict=True))
+            values = np.minimum(values, np.sqrt(x + y + z) - np.float32(self.joint_clearance))
+        values = np.maximum(values, bone)
+        radius = self.opening * design.pitch
+        core = values > radius
+        if not core.any():
+            return None
+        # Opening by a ball; the slack of a lattice diagonal spares every surface that the ball touches from inside.
+        reach = np.float32(radius + np.sqrt(3.0) * whole.spacing)
+        values = np.minimum(values, reach - np.float32(whole.spacing) * ndimage.distance_transform_edt(~core))
+        opened = whole.with_values(np.maximum(values, bone))
+        centres = (np.argwhere(soft).astype(np.float64) + 0.5) * design.pitch
+        return opened if (opened.sample(centres) > 0).any() else None
 
     def _near_joint(self, design: VoxelDesign) -> NDArray[np.bool_]:
         near = np.zeros((GRID, GRID, GRID), bool)

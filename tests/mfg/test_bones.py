@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
-from mfg.bones import BoneSolver, cut_cylinder, largest_piece, smooth_field
+from mfg.bones import BoneSolver, cut_cylinder, largest_piece
 from mfg.fields import cylinder_depth, cylindrical
 from mfg.mounts import mount_of
 from mfg.parts import J60_6, PAPER
 from mfg.skeleton import SkeletonSolver
 from mfg.solids import from_field
+from mfg.voxel_fields import smooth_field
 
 
 @given(

@@ -10,7 +10,6 @@ from bodies import CENTRES, ellipsoid, painted
 
 from decoder.design import Joint, VoxelDesign
 from mfg.blueprint import Blueprint
-from mfg.bones import smooth_field
 from mfg.motion import MotionSolver
 from mfg.motors import MotorSolver
 from mfg.mounts import connector, envelope, holder, mount_of
@@ -19,6 +18,7 @@ from mfg.parts import PAPER
 from mfg.pipeline import VIRTUAL, run
 from mfg.printability import PrintabilitySolver, outline_points, with_hardware
 from mfg.solids import from_field
+from mfg.voxel_fields import smooth_field
 
 MOUNT = mount_of(PAPER.motor)
 

@@ -1,0 +1,126 @@
+"""Voxels of a design to smooth depth fields: rounded from the labels, or from the depth that the design carries."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from decoder.design import DEPTH_UNIT, Material, VoxelDesign
+from mfg.fields import Field, Window
+
+PAD = 3  # voxels around a voxel set in its field
+NEAR, FAR = 2.0, 4.0  # a design's own depth counts down to NEAR, distances between voxels from FAR on [voxels]
+
+
+def bone_field(design: VoxelDesign, segment: int, smoothing: float) -> Field:
+    """Depth in the bone of one segment, from the design's own depth where it has one, else from its labels.
+
+    Args:
+        design: that has this segment.
+        segment: id of the bone.
+        smoothing: width of the Gaussian that rounds voxel steps [voxels].
+    """
+    return _of(design, (design.segment == segment) & (design.material == Material.RIGID), 0, smoothing)
+
+
+def whole_field(design: VoxelDesign, segment: int, soft: NDArray[np.bool_], smoothing: float) -> Field:
+    """Depth in the bone of one segment and the soft voxels given with it, (64, 64, 64); else as `bone_field`."""
+    bone = (design.segment == segment) & (design.material == Material.RIGID)
+    return _of(design, soft | bone, 1, smoothing)
+
+
+def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) -> Field:
+    """Smooth signed depth of a voxel set on the half-voxel lattice, keeping its volume.
+
+    The Euclidean depth at voxel centres is smoothed, interpolated to half the pitch (cubic), and shifted so that the
+    region phi > 0 has the volume of the voxels.
+
+    Args:
+        occupied: (64, 64, 64); at least one voxel, none within `PAD` voxels of the array border is required: the
+            crop is padded.
+        pitch: edge of a voxel [m].
+        smoothing: Gaussian width [voxels].
+    """
+    low, window = bounding_window(occupied)
+    crop = np.pad(occupied[window], PAD)
+    depth = _refined(_rounded_depth(crop, smoothing))
+    target = int(crop.sum()) * 8  # Samples per voxel on the fine lattice.
+    level = float(np.partition(depth.ravel(), -target)[-target]) if target < depth.size else 0.0
+    return _field(depth - np.clip(level, -0.5, 0.5), low, pitch)
+
+
+def measured_field(occupied: NDArray[np.bool_], depth: NDArray[np.int8], pitch: float, smoothing: float) -> Field:
+    """Signed depth of a voxel set that is part of a solid of known depth, on the half-voxel lattice.
+
+    Where the set ends with the solid, its surface is the solid's, depth 0, interpolated to half the pitch (cubic).
+    Where other voxels of the solid go on beyond it, the set ends half-way to them, with the voxel steps of that
+    boundary rounded; the boundary continues into the empty room around, so that it meets the surface squarely.
+
+    Args:
+        occupied: (64, 64, 64); at least one voxel, all of them with depth above 0.
+        depth: of the whole solid, (64, 64, 64), in 1/`DEPTH_UNIT` voxel.
+        pitch: edge of a voxel [m].
+        smoothing: Gaussian width for the boundary to the solid's other voxels [voxels].
+    """
+    low, window = bounding_window(occupied)
+    crop = np.pad(occupied[window], PAD)
+    around = tuple(slice(int(a), int(a) + n) for a, n in zip(low, crop.shape, strict=True))
+    known = np.pad(depth, PAD, mode="edge")[around].astype(np.float32) / np.float32(DEPTH_UNIT)
+    inside = known > 0
+    # A stored depth ends somewhere; deep inside, distances between voxels keep the ridge where clearance is measured.
+    far = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1] - 0.5
+    share = np.clip((known - NEAR) / (FAR - NEAR), 0.0, 1.0)
+    fine = _refined((known + share * (far - known)).astype(np.float32))
+    others = inside & ~crop
+    if others.any():
+        cell = ndimage.distance_transform_edt(~crop) <= ndimage.distance_transform_edt(~others)
+        fine = np.minimum(fine, _refined(_rounded_depth(cell, smoothing)))
+    return _field(fine, low, pitch)
+
+
+def bounding_window(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Window]:
+    """Lowest corner and slices of the box around the true voxels of a grid; at least one must be true."""
+    spans = [np.flatnonzero(occupied.any(axis=tuple(b for b in range(3) if b != a))) for a in range(3)]
+    x, y, z = (slice(int(s[0]), int(s[-1]) + 1) for s in spans)
+    return np.array([x.start, y.start, z.start]), (x, y, z)
+
+
+def _of(design: VoxelDesign, occupied: NDArray[np.bool_], layer: int, smoothing: float) -> Field:
+    if design.depth is None:
+        return smooth_field(occupied, design.pitch, smoothing)
+    return measured_field(occupied, design.depth[layer], design.pitch, smoothing)
+
+
+def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float) -> NDArray[np.float32]:
+    """Euclidean depth of a voxel set at voxel centres [voxels], smoothed near its surface."""
+    depth = ndimage.distance_transform_edt(occupied) - ndimage.distance_transform_edt(~occupied)
+    depth = (depth - np.where(occupied, 0.5, -0.5)).astype(np.float32)
+    rounded = ndimage.gaussian_filter(depth, smoothing, mode="nearest", truncate=3.0)
+    # Only the surface needs rounding; deep inside, smoothing would flatten the ridge where clearance is measured.
+    depth += np.clip((3.0 - np.abs(depth)) / 1.5, 0.0, 1.0) * (rounded - depth)
+    return depth
+
+
+def _refined(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The values with a sample half-way between neighbours, along every axis."""
+    for axis in range(3):
+        values = _halved(values, axis)
+    return values
+
+
+def _halved(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Insert a sample half-way between neighbours along one axis (cubic Lagrange weights -1, 9, 9, -1 over 16)."""
+    v = np.moveaxis(values, axis, 0)
+    out = np.zeros((2 * len(v) - 1, *v.shape[1:]), np.float32)
+    out[::2] = v
+    e = np.concatenate([v[:1], v, v[-1:]])
+    out[1::2] = (9.0 * (e[1:-2] + e[2:-1]) - e[:-3] - e[3:]) / 16.0
+    return np.moveaxis(out, 0, axis)
+
+
+def _field(depth: NDArray[np.floating], low: NDArray[np.int64], pitch: float) -> Field:
+    """Depth [voxels] on the fine lattice of a crop that was padded by `PAD`, with its lowest voxel at `low`."""
+    # Centre of voxel i is lattice index 2 i + 1; refining keeps the first sample.
+    corner = tuple(int(v) for v in 2 * (low - PAD) + 1)
+    return Field(np.ascontiguousarray(depth * np.float32(pitch), np.float32), corner, pitch / 2)  # type: ignore[arg-type]
