@@ -104,6 +104,7 @@ class Bound:
         goal: the value to reach, in `unit`, above 0.
         direction: whether a figure must be at least or at most its goal.
         value: what was measured, in `unit`; nan (nothing measured) never reaches a goal.
+        n: how many observations that rests on.
         unit: "", "%", "°", "s", "MiB".
         weighed: whether `better` looks at it. What a machine takes says nothing about weights.
     """
@@ -112,6 +113,7 @@ class Bound:
     goal: float
     direction: Direction
     value: float
+    n: int
     unit: str = ""
     weighed: bool = True
 
