@@ -192,11 +192,11 @@ def _populations(populations: Mapping[str, Population]) -> str:
 
 def _foreign(card: Card) -> str:
     found = {"held-out bodies": card.evaluation.reconstruction, **{name: r for name, (_, r) in card.foreign.items()}}
-    rows = [
-        [name, str(r.n), _cell(r.body_iou, r.n), _cell(r.bone_iou, r.n), _cell(r.segment_iou, r.n), _cell(r.segment_count, r.n, "%"),
-         _cell(r.joint_recall, r.n, "%"), _cell(r.axis_error, r.n, "°")]
-        for name, r in found.items()
-    ]  # fmt: skip
+    rows = []
+    for name, r in found.items():
+        figures = [(r.body_iou, ""), (r.bone_iou, ""), (r.segment_iou, ""), (r.segment_count, "%"),
+                   (r.joint_recall, "%"), (r.axis_error, "°")]  # fmt: skip
+        rows.append([name, str(r.n), *(_cell(figure, r.n, unit) for figure, unit in figures)])
     head = ["bodies", "n", "body IoU", "bone IoU", "IoU per segment", "segment count exact", "joints found",
             "axis error, median"]  # fmt: skip
     return _table(head, rows)
