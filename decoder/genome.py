@@ -41,6 +41,7 @@ class GenomeDecoder:
         skin_roughness: standard deviation of the outer surface's displacement [voxels].
         blend: width over which linked bones and blobs melt together [voxels].
         gap: width of the cleft between the soft tissues of unlinked bones [voxels].
+        signed: whether designs carry the depths that they were drawn from (they are other designs then).
     """
 
     seed: int = 512
@@ -52,6 +53,7 @@ class GenomeDecoder:
     skin_roughness: float = 0.9
     blend: float = 2.0
     gap: float = 2.5
+    signed: bool = False
 
     @cached_property
     def map(self) -> NDArray[np.float64]:
@@ -96,7 +98,7 @@ class GenomeDecoder:
             bone_noise, skin_noise = _even(bone_noise), _even(skin_noise)
         limit = 2.0 * max(self.bone_roughness, self.skin_roughness)
         shift, scale = fit(plan.bones, limit)
-        material, segment = rasterise(
+        material, segment, depth = rasterise(
             [bone.moved(shift, scale) for bone in plan.bones],
             {(hinge.parent, hinge.child) for hinge in plan.hinges},
             bone_noise * self.bone_roughness,
@@ -104,8 +106,9 @@ class GenomeDecoder:
             blend=self.blend,
             gap=self.gap,
             limit=limit,
+            signed=self.signed,
         )
-        return VoxelDesign(material, segment, self.pitch, tuple(self._joints(plan, shift, scale)))
+        return VoxelDesign(material, segment, self.pitch, tuple(self._joints(plan, shift, scale)), depth)
 
     def _joints(self, plan: BodyPlan, shift: NDArray[np.float64], scale: float) -> Iterator[Joint]:
         for hinge in plan.hinges:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.design import GRID, Material
+from decoder.design import GRID, Material, quantised
 
 MARGIN = 2  # empty voxels that the rasteriser leaves along every face of the grid
 COAT = 0.7  # least soft tissue over a bone [voxels]
@@ -134,9 +134,9 @@ def fit(bones: list[Bone], room: float) -> tuple[NDArray[np.float64], float]:
 
 def rasterise(
     bones: list[Bone], linked: set[tuple[int, int]], bone_noise: NDArray[np.float64], skin_noise: NDArray[np.float64],
-    *, blend: float, gap: float, limit: float,
-) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:  # fmt: skip
-    """Draw bones that `fit` has placed: material and segment grids, (64, 64, 64) each.
+    *, blend: float, gap: float, limit: float, signed: bool = False,
+) -> tuple[NDArray[np.uint8], NDArray[np.int16], NDArray[np.int8] | None]:  # fmt: skip
+    """Draw bones that `fit` has placed: material and segment grids, (64, 64, 64) each, and if `signed` their depth.
 
     A voxel belongs to the nearest bone; it is rigid where distance < bone noise, and soft where
     distance < max(thickness + skin noise, bone noise + COAT), so that no noise leaves a bone bare.
@@ -149,6 +149,7 @@ def rasterise(
         blend: width over which linked bones melt together.
         gap: width of the cleft that keeps soft tissue of bones without a common joint apart.
         limit: largest displacement by noise.
+        signed: whether to give the depths that material was told from, as in `VoxelDesign.depth`.
     """
     boxes = np.stack([bone.bounds() + np.array([[-1.0], [1.0]]) * (bone.thickness + limit + gap) for bone in bones])
     cells = np.stack([np.floor(boxes[:, 0]), np.ceil(boxes[:, 1])], axis=1).astype(int).clip(MARGIN, GRID - MARGIN)
@@ -163,7 +164,7 @@ def rasterise(
         distances[index][region] = bone.distance(x[:, None, None], y[None, :, None], z[None, None, :], blend)
     owner = distances.argmin(axis=0)
     nearest = distances.min(axis=0)
-    melted, cleft = nearest.copy(), np.zeros(nearest.shape, bool)
+    melted, slit = nearest.copy(), np.full(nearest.shape, FAR, np.float32)  # slit: distance to the clefts
     for i in range(len(bones)):
         for j in range(i + 1, len(bones)):
             start = np.maximum(cells[i, 0], cells[j, 0]) - low
@@ -175,14 +176,26 @@ def rasterise(
             if (i, j) in linked:
                 melted[region] = np.minimum(melted[region], smooth_min(a, b, blend))
             else:
-                cleft[region] |= (np.abs(a - b) < gap) & (np.minimum(a, b) <= nearest[region])
+                beyond = np.where(np.minimum(a, b) <= nearest[region], (np.abs(a - b) - np.float32(gap)) / 2, FAR)
+                slit[region] = np.minimum(slit[region], beyond)
     inner = np.clip(noise(bone_noise, window), -limit, limit)
     outer = np.array([bone.thickness for bone in bones], np.float32)[owner]
     outer += np.clip(noise(skin_noise, window), -limit, limit)
+    outer = np.maximum(outer, inner + np.float32(COAT))
     rigid = melted < inner
-    soft = (melted < np.maximum(outer, inner + np.float32(COAT))) & ~rigid & ~cleft
+    soft = (melted < outer) & ~rigid & ~(slit < 0)
     material = np.zeros((GRID, GRID, GRID), np.uint8)
     segment = np.zeros((GRID, GRID, GRID), np.int16)
     material[window] = np.where(rigid, Material.RIGID, np.where(soft, Material.SOFT, Material.EMPTY))
     segment[window] = np.where(rigid | soft, owner + 1, 0)
-    return material, segment
+    if not signed:
+        return material, segment, None
+    deep, whole = np.full((2, GRID, GRID, GRID), -float(FAR))
+    deep[window] = inner - melted
+    whole[window] = np.maximum(inner - melted, np.minimum(outer - melted, slit))
+    # A difference of 0 says neither; the labels do.
+    return material, segment, quantised(_towards(deep, material == Material.RIGID), _towards(whole, material > 0))
+
+
+def _towards(depth: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    return np.where(inside, np.maximum(depth, np.finfo(np.float64).tiny), np.minimum(depth, 0.0))
