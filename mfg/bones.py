@@ -12,7 +12,7 @@ from mfg.blueprint import Blueprint, Body
 from mfg.fields import OUTSIDE, Field, cylinder_depth, cylindrical
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
-from mfg.voxel_fields import bone_field
+from mfg.voxel_fields import between_centres, bone_field, opened_min
 
 
 @dataclass(frozen=True)
@@ -70,15 +70,18 @@ def separated(field: Field, others: list[Field], gap: float) -> Field:
 
 
 def cut_cylinder(
-    field: Field, centre: NDArray[np.float64], axis: NDArray[np.float64], radius: float, half_length: float
-) -> Field:
-    """Subtract a cylinder about a joint axis from a field."""
-    window = field.window(centre, float(np.hypot(radius, half_length)) + 2 * field.spacing)
+    field: Field, centre: NDArray[np.float64], axis: NDArray[np.float64], radius: float, half_length: float,
+    opening: float = 0.0,
+) -> Field:  # fmt: skip
+    """Subtract a cylinder about a joint axis from a field, and open the rim by a ball of radius `opening` [m]."""
+    window = field.window(centre, float(np.hypot(radius, half_length)) + 2 * max(opening, field.spacing))
     if window is None:
         return field
+    if opening > 0:
+        window = between_centres(window)
     depth = cylinder_depth(*cylindrical(field.axes(window), centre, axis), radius, -half_length, half_length)
     values = field.values.copy()
-    values[window] = np.minimum(values[window], -depth)
+    values[window] = opened_min(values[window], -depth, opening)
     return field.with_values(values)
 
 

@@ -14,7 +14,9 @@ from mfg.bones import cut_cylinder
 from mfg.fields import OUTSIDE, Field
 from mfg.mounts import mount_of
 from mfg.outcome import Failure
-from mfg.voxel_fields import bounding_window, smooth_field, whole_field
+from mfg.voxel_fields import between_centres, bounding_window, opened_min, refined, smooth_field, whole_field
+
+SLACK = 1.0  # how far an opened field may err inwards: distances are taken between voxel centres [voxels]
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class SkinSolver:
         else:
             outer = [self._from_depth(design, owner == body.segment, body) for body in blueprint.bodies]
         radius = mount_of(blueprint.catalogue.motor).attach_radius
+        opening = 0.0 if design.depth is None else self._ball * design.pitch
         bodies = []
         for index, (body, whole) in enumerate(zip(blueprint.bodies, outer, strict=True)):
             if whole is None:
@@ -55,9 +58,16 @@ class SkinSolver:
             field = _apart(whole, body, index, blueprint.bodies, outer, self.gap)
             for hinge in blueprint.hinges:
                 if index in (hinge.parent, hinge.body):
-                    field = cut_cylinder(field, hinge.position, hinge.axis, radius, self.cut_half_length)
+                    field = cut_cylinder(field, hinge.position, hinge.axis, radius, self.cut_half_length, opening)
+            if opening > 0:  # It may have taken thin bone along.
+                field = field.with_values(np.maximum(field.values, body.bone.on_lattice_of(field)))
             bodies.append(replace(body, skin=field))
         return replace(blueprint, bodies=tuple(bodies))
+
+    @property
+    def _ball(self) -> float:
+        """Radius of a ball that reaches as far as `opening` does between voxel centres [voxels]."""
+        return max(0.0, self.opening - 0.5)
 
     def _from_labels(self, design: VoxelDesign, soft: NDArray[np.bool_], body: Body) -> Field | None:
         """Surface of a body with soft voxels clear of joints, or None where no soft tissue is left."""
@@ -71,22 +81,17 @@ class SkinSolver:
         """The same from the design's own depth and all soft voxels: cleared and opened as a field."""
         if not soft.any():
             return None
-        whole = whole_field(design, body.segment, soft, self.smoothing)
-        values, bone = whole.values, body.bone.on_lattice_of(whole)
+        cleared = whole = whole_field(design, body.segment, soft, self.smoothing, self._ball)
         for joint in design.joints:
-            x, y, z = (np.square(a - np.float32(c)) for a, c in zip(whole.axes(), joint.position, strict=True))
-            values = np.minimum(values, np.sqrt(x + y + z) - np.float32(self.joint_clearance))
-        values = np.maximum(values, bone)
-        radius = self.opening * design.pitch
-        core = values > radius
-        if not core.any():
+            cleared = _cleared(cleared, joint.position, self.joint_clearance, self._ball * design.pitch)
+        bone = body.bone.on_lattice_of(whole)
+        values = np.maximum(cleared.values, bone)
+        opened = _opened_field(values, self._ball * design.pitch, design.pitch)
+        if opened is None:
             return None
-        # Opening by a ball; the slack of a lattice diagonal spares every surface that the ball touches from inside.
-        reach = np.float32(radius + np.sqrt(3.0) * whole.spacing)
-        values = np.minimum(values, reach - np.float32(whole.spacing) * ndimage.distance_transform_edt(~core))
-        opened = whole.with_values(np.maximum(values, bone))
+        field = whole.with_values(np.maximum(opened, bone))
         centres = (np.argwhere(soft).astype(np.float64) + 0.5) * design.pitch
-        return opened if (opened.sample(centres) > 0).any() else None
+        return field if (field.sample(centres) > 0).any() else None
 
     def _near_joint(self, design: VoxelDesign) -> NDArray[np.bool_]:
         near = np.zeros((GRID, GRID, GRID), bool)
@@ -126,6 +131,31 @@ def soft_owner(design: VoxelDesign) -> NDArray[np.int16]:
         nearest = ndimage.distance_transform_edt(~rigid(design), return_distances=False, return_indices=True)
         owner[orphan] = design.segment[tuple(n[orphan] for n in nearest)]
     return owner
+
+
+def _opened_field(values: NDArray[np.float32], radius: float, pitch: float) -> NDArray[np.float32] | None:
+    """Depth less what lies far from all places where a ball fits, or None where none fits anywhere."""
+    coarse = values[::2, ::2, ::2]  # at voxel centres
+    core = coarse > radius
+    if not core.any():
+        return None
+    distance, nearest = ndimage.distance_transform_edt(~core, return_indices=True)
+    # The core begins before its nearest sample does, by as much as that sample is deeper than the radius.
+    beyond = np.float32(pitch) * distance.astype(np.float32) - (coarse[tuple(nearest)] - np.float32(radius))
+    room = refined(np.float32(radius + SLACK * pitch) - np.where(core, np.float32(0), beyond))
+    return np.minimum(values, np.where(values > radius, values, room))
+
+
+def _cleared(field: Field, centre: NDArray[np.float64], clearance: float, radius: float) -> Field:
+    """Subtract a ball about a joint from a field; what is left is opened along the rim by a ball of `radius` [m]."""
+    near = field.window(centre, clearance + 2 * radius)
+    if near is None:
+        return field
+    window = between_centres(near)
+    u, v, w = (np.square(axis - np.float32(c)) for axis, c in zip(field.axes(window), centre, strict=True))
+    values = field.values.copy()
+    values[window] = opened_min(values[window], np.sqrt(u + v + w) - np.float32(clearance), radius)
+    return field.with_values(values)
 
 
 def _apart(

@@ -24,10 +24,15 @@ def bone_field(design: VoxelDesign, segment: int, smoothing: float) -> Field:
     return _of(design, (design.segment == segment) & (design.material == Material.RIGID), 0, smoothing)
 
 
-def whole_field(design: VoxelDesign, segment: int, soft: NDArray[np.bool_], smoothing: float) -> Field:
-    """Depth in the bone of one segment and the soft voxels given with it, (64, 64, 64); else as `bone_field`."""
+def whole_field(
+    design: VoxelDesign, segment: int, soft: NDArray[np.bool_], smoothing: float, opening: float = 0.0
+) -> Field:
+    """Depth in the bone of one segment and the soft voxels given with it, (64, 64, 64), else as `bone_field`.
+
+    Where the depth is the design's own, the rims of its boundary to other voxels are opened [voxels].
+    """
     bone = (design.segment == segment) & (design.material == Material.RIGID)
-    return _of(design, soft | bone, 1, smoothing)
+    return _of(design, soft | bone, 1, smoothing, opening)
 
 
 def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) -> Field:
@@ -44,13 +49,15 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) ->
     """
     low, window = bounding_window(occupied)
     crop = np.pad(occupied[window], PAD)
-    depth = _refined(_rounded_depth(crop, smoothing))
+    depth = refined(_rounded_depth(crop, smoothing))
     target = int(crop.sum()) * 8  # Samples per voxel on the fine lattice.
     level = float(np.partition(depth.ravel(), -target)[-target]) if target < depth.size else 0.0
     return _field(depth - np.clip(level, -0.5, 0.5), low, pitch)
 
 
-def measured_field(occupied: NDArray[np.bool_], depth: NDArray[np.int8], pitch: float, smoothing: float) -> Field:
+def measured_field(
+    occupied: NDArray[np.bool_], depth: NDArray[np.int8], pitch: float, smoothing: float, opening: float = 0.0
+) -> Field:
     """Signed depth of a voxel set that is part of a solid of known depth, on the half-voxel lattice.
 
     Where the set ends with the solid, its surface is the solid's, depth 0, interpolated to half the pitch (cubic).
@@ -61,22 +68,62 @@ def measured_field(occupied: NDArray[np.bool_], depth: NDArray[np.int8], pitch: 
         occupied: (64, 64, 64); at least one voxel, all of them with depth above 0.
         depth: of the whole solid, (64, 64, 64), in 1/`DEPTH_UNIT` voxel.
         pitch: edge of a voxel [m].
-        smoothing: Gaussian width for the boundary to the solid's other voxels [voxels].
+        smoothing: width of the Gaussian that takes off steps [voxels].
+        opening: radius of the ball that opens the rim where boundary and surface meet [voxels].
     """
     low, window = bounding_window(occupied)
     crop = np.pad(occupied[window], PAD)
     around = tuple(slice(int(a), int(a) + n) for a, n in zip(low, crop.shape, strict=True))
     known = np.pad(depth, PAD, mode="edge")[around].astype(np.float32) / np.float32(DEPTH_UNIT)
     inside = known > 0
+    # Steps of 1/16 voxel would show as ripples. 2 G - G G takes them off and leaves cubic surfaces where they are.
+    once = _blurred(known, smoothing)
+    known = 2 * once - _blurred(once, smoothing)
     # A stored depth ends somewhere; deep inside, distances between voxels keep the ridge where clearance is measured.
     far = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1] - 0.5
     share = np.clip((known - NEAR) / (FAR - NEAR), 0.0, 1.0)
-    fine = _refined((known + share * (far - known)).astype(np.float32))
+    fine = refined((known + share * (far - known)).astype(np.float32))
     others = inside & ~crop
     if others.any():
-        cell = ndimage.distance_transform_edt(~crop) <= ndimage.distance_transform_edt(~others)
-        fine = np.minimum(fine, _refined(_rounded_depth(cell, smoothing)))
+        nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
+        cell = crop[tuple(nearest)]
+        fine = opened_min(fine, refined(_rounded_depth(cell, smoothing)), opening)
     return _field(fine, low, pitch)
+
+
+def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
+    """Depth in both of two regions, with the edges where their surfaces meet opened by a ball, wedges included.
+
+    The centre of the ball keeps to a >= radius and b >= radius. Where the edge of that region is what is nearest, at
+    u = radius - a and v = radius - b, it is |u, v| away in the frame of the two gradients, which need not be square.
+
+    Args:
+        a: depth in one region, odd numbers of samples along every side.
+        b: depth in the other, same samples.
+        radius: of the ball, in the unit of the depths; 0 leaves every edge as it is.
+    """
+    least = np.minimum(a, b)
+    if radius <= 0 or min(a.shape) < 3:
+        return least
+    # Nothing else is both in a body and near enough to an edge; further outside, the sign is all that counts.
+    near = np.unravel_index(np.flatnonzero((least > -radius) & (np.maximum(a, b) < 2 * radius)), a.shape)
+    if not near[0].size:
+        return least
+    slopes = [np.gradient(depth[::2, ::2, ::2]) for depth in (a, b)]
+    length = np.sqrt(np.prod([np.square(g).sum(axis=0) for g in slopes], axis=0))
+    cosine = (np.asarray(slopes[0]) * slopes[1]).sum(axis=0) / np.maximum(length, np.finfo(np.float32).tiny)
+    c = ndimage.map_coordinates(cosine, np.asarray(near) / 2, np.float32, order=1, mode="nearest")
+    u, v = np.float32(radius) - a[near], np.float32(radius) - b[near]
+    square = (u * u + v * v - 2 * c * u * v) / np.maximum(1 - c * c, np.float32(0.05))
+    opened = np.float32(radius) - np.sqrt(np.maximum(square, 0))
+    least[near] = np.where((v > c * u) & (u > c * v), np.minimum(least[near], opened), least[near])
+    return least
+
+
+def between_centres(window: Window) -> Window:
+    """The window of a field made here, widened to begin and end at voxels' centres."""
+    x, y, z = (slice(s.start - s.start % 2, s.stop + (s.stop + 1) % 2) for s in window)
+    return x, y, z
 
 
 def bounding_window(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Window]:
@@ -86,23 +133,27 @@ def bounding_window(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Win
     return np.array([x.start, y.start, z.start]), (x, y, z)
 
 
-def _of(design: VoxelDesign, occupied: NDArray[np.bool_], layer: int, smoothing: float) -> Field:
+def _of(design: VoxelDesign, occupied: NDArray[np.bool_], layer: int, smoothing: float, opening: float = 0.0) -> Field:
     if design.depth is None:
         return smooth_field(occupied, design.pitch, smoothing)
-    return measured_field(occupied, design.depth[layer], design.pitch, smoothing)
+    return measured_field(occupied, design.depth[layer], design.pitch, smoothing, opening)
 
 
 def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float) -> NDArray[np.float32]:
     """Euclidean depth of a voxel set at voxel centres [voxels], smoothed near its surface."""
     depth = ndimage.distance_transform_edt(occupied) - ndimage.distance_transform_edt(~occupied)
     depth = (depth - np.where(occupied, 0.5, -0.5)).astype(np.float32)
-    rounded = ndimage.gaussian_filter(depth, smoothing, mode="nearest", truncate=3.0)
+    rounded = _blurred(depth, smoothing)
     # Only the surface needs rounding; deep inside, smoothing would flatten the ridge where clearance is measured.
     depth += np.clip((3.0 - np.abs(depth)) / 1.5, 0.0, 1.0) * (rounded - depth)
     return depth
 
 
-def _refined(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _blurred(values: NDArray[np.float32], width: float) -> NDArray[np.float32]:
+    return ndimage.gaussian_filter(values, width, mode="nearest", truncate=3.0)
+
+
+def refined(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """The values with a sample half-way between neighbours, along every axis."""
     for axis in range(3):
         values = _halved(values, axis)

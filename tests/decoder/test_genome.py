@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decoder.design import GRID, Material, VoxelDesign
+from decoder.design import DEPTH_UNIT, GRID, Material, VoxelDesign
 from decoder.genome import GenomeDecoder
 from decoder.latent import LATENT_DIM, PRIORS, make_decoder, sample_latents
 
@@ -99,3 +99,15 @@ def test_unknown_names_list_what_there_is() -> None:
         sample_latents(1, np.random.default_rng(0), "cauchy")
     with pytest.raises(ValueError, match="0 or more"):
         sample_latents(-1, np.random.default_rng(0))
+
+
+def test_a_signed_design_is_the_same_body_with_its_depth(latents: np.ndarray, designs: list[VoxelDesign]) -> None:
+    for plain, signed in zip(designs[:6], GenomeDecoder(signed=True).decode(latents[:6]), strict=True):
+        np.testing.assert_array_equal(plain.material, signed.material)
+        np.testing.assert_array_equal(plain.segment, signed.segment)
+        assert plain.depth is None
+        assert signed.depth is not None
+        assert (signed.depth[1] >= signed.depth[0]).all()  # A body holds its bones.
+        depth = signed.depth / DEPTH_UNIT
+        slope = np.linalg.norm(np.gradient(depth[0]), axis=0)[np.abs(depth[0]) < 1.5]
+        assert np.median(slope) == pytest.approx(1.0, abs=0.15)  # About metric near the surface.
