@@ -31,6 +31,7 @@ DOORS: dict[str, set[str]] = {
     "msgspec": {"experiments/config.py"},
     "tqdm": {"experiments/output.py"},
     "torch": {"experiments/doctor.py"},
+    "safetensors": {"decoder/weights.py"},
     "imageio_ffmpeg": {"sim/video.py", "experiments/doctor.py"},
 }
 # A command file is read for `bodyplan --help`; its top level may import these and nothing else.
