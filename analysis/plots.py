@@ -127,6 +127,37 @@ def fitness_curve(
         return _png(figure)
 
 
+def training_curve(seconds: Sequence[float], bodies: Sequence[float], figures: Mapping[str, Sequence[float]]) -> bytes:
+    """Every figure of a training against the compute spent, a panel each; losses on a logarithmic scale.
+
+    Args:
+        seconds: of training, of every row.
+        bodies: seen by then; only the last is told.
+        figures: by name, a value per row, NaN where a row has none; names that begin with "loss_" are losses.
+    """
+    columns = min(4, max(len(figures), 1))
+    rows = max(-(-len(figures) // columns), 1)
+    unit, name = (3600.0, "h") if seconds[-1] >= 7200.0 else (60.0, "min") if seconds[-1] >= 120.0 else (1.0, "s")
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(2.3 * columns, 1.6 * rows + 0.6), layout="constrained", dpi=DPI)
+        panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
+        for axes, (label, values) in zip(panels, figures.items(), strict=False):
+            y = np.asarray(values, np.float64)
+            has = np.isfinite(y)
+            loss = label.startswith("loss_")
+            axes.plot(np.asarray(seconds)[has] / unit, y[has], color=QUIET if loss else BEST, lw=1.4, marker=".", ms=3)
+            if loss and has.any() and (y[has] > 0.0).all():
+                axes.set_yscale("log")
+            axes.set_title(label.replace("_", " "), fontsize=8.5)
+            axes.tick_params(labelsize=7.5)
+            axes.grid(axis="y")
+        for axes in panels[len(figures) :]:
+            axes.set_visible(False)
+        figure.supxlabel(f"time spent on training [{name}], {bodies[-1]:.0f} bodies in all",
+                         fontsize=9.0)  # fmt: skip
+        return _png(figure)
+
+
 def score_bars(scores: Mapping[str, float | None]) -> bytes:
     """The five scores of one design; what it did not reach is left open."""
     with mpl.rc_context(_STYLE):

@@ -11,17 +11,17 @@ import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study
+from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study, train_decoder
 from experiments.output import BAD_INPUT, DEFECT, INTERRUPTED, VERSION, BadInput, say
 
 # In the order in which a new user meets them. Their files import nothing heavy until they run.
 COMMANDS = {
     "run": run, "sample": sample, "build": build, "score": score, "study": study, "simulate": simulate,
-    "deploy": deploy, "replay": replay, "report": report, "doctor": doctor,
+    "deploy": deploy, "replay": replay, "report": report, "train-decoder": train_decoder, "doctor": doctor,
 }  # fmt: skip
 
 # Commands of the design that this version does not know yet.
-LATER = {"train": "training a policy", "train-decoder": "the learned decoder", "studio": "the studio"}
+LATER = {"train": "training a policy", "studio": "the studio"}
 
 # Workers are processes, one per core; a maths library that starts threads of its own makes all of them slower, and its
 # sums depend on the number of threads. Must be set before numpy is imported.
@@ -30,8 +30,8 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 # Errors of the library that say what is wrong with a file. By name, so that a command loads no more than it uses.
 BAD_INPUT_ERRORS = frozenset({
-    "decoder.design.DesignError", "mfg.manifest.ManifestError", "sim.actor.BundleError", "sim.model.ModelError",
-    "evo.loop.ResumeError", "hardware.log.LogError",
+    "decoder.design_file.DesignError", "mfg.manifest.ManifestError", "sim.actor.BundleError", "sim.model.ModelError",
+    "evo.loop.ResumeError", "hardware.log.LogError", "decoder.weights.WeightsError",
 })  # fmt: skip
 
 STORY = """\
@@ -51,9 +51,12 @@ an experiment:
   bodyplan deploy runs/first/best/bundle --bus virtual --dry-run     rehearse on simulated motors
   bodyplan study -n 1000 --out runs/study      what share of random bodies can be built, and what stops the others
 
+another decoder:
+  bodyplan train-decoder experiments/configs/decoder_cpu.toml --out runs/decoder     some hours; --resume goes on
+
 exit status: 0 done, 1 the design cannot be built, 2 bad input or configuration, 3 interrupted:
-give the same command again (`run` with --resume); `deploy` never gives 3, see its help. 70 is a defect of
-this program.
+give the same command again (`run` and `train-decoder` with --resume); `deploy` never gives 3, see its help.
+70 is a defect of this program.
 """
 
 

@@ -11,7 +11,7 @@ from experiments.config import Seed, Workers, checked, read_document
 from experiments.output import BadInput
 
 KIND = "train-decoder"
-HELD_OUT_SEED = 2**62 + 1  # of the bodies that the curve is measured on; no training may draw from it
+CURVE_SEED = 2_000_000_017  # of the bodies that the curve is measured on; others than those of the closing evaluation
 # Keys that change neither what is learned nor how: a run may be resumed with other values of them. Where and how
 # precisely the sums are made is among them, and a change is told, for it changes rounding.
 FREE = ("device", "precision", "threads", "checkpoint_every", "evaluate_every", "evaluate_bodies", "evaluation.bodies",
@@ -75,6 +75,8 @@ def load_decoder_config(path: Path) -> TrainDecoder:
         BadInput: naming the file, the key, its value and what is allowed.
         OSError: if it cannot be read.
     """
+    from decoder.evaluation import HELD_OUT_SEED
+
     document = read_document(path)
     kind = document.get("kind")
     if kind is None:
@@ -82,7 +84,7 @@ def load_decoder_config(path: Path) -> TrainDecoder:
     if kind in ("evolve", "study", "sketch"):
         raise BadInput(f'{path}: kind = "{kind}"; it must be "{KIND}" here: give this file to `bodyplan run`')
     config = checked(document, TrainDecoder, str(path))
-    if config.seed == HELD_OUT_SEED:
+    if config.seed in (CURVE_SEED, HELD_OUT_SEED):
         raise BadInput(f"{path}: seed = {config.seed}; that seed is kept for held-out bodies: choose another")
     if config.warmup >= config.steps > 1:
         raise BadInput(f"{path}: warmup = {config.warmup}; it must be less than steps = {config.steps}")

@@ -20,7 +20,7 @@ REQUIRED = (
     ("scikit-learn", "sklearn.discriminant_analysis"), ("pandas", "pandas"), ("python-can", "can"),
     ("pyserial", "serial"), ("matplotlib", "matplotlib"), ("msgspec", "msgspec"), ("tqdm", "tqdm"), ("pillow", "PIL"),
     ("imageio-ffmpeg", "imageio_ffmpeg"), ("torch", "torch"),
-    ("safetensors", "safetensors.numpy"),
+    ("safetensors", "safetensors.numpy"), ("tensorboardX", "tensorboardX"),
 )  # fmt: skip
 SLICERS = ("prusa-slicer", "PrusaSlicer", "prusaslicer", "orca-slicer", "OrcaSlicer", "bambu-studio", "cura")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 from experiments.output import VERSION, BadInput, say
 
 if TYPE_CHECKING:
+    from msgspec import Struct
+
     from evo.record import Record
     from experiments.config import Config, Evolve, Study
 
@@ -79,7 +81,7 @@ def _result_in(folder: Path) -> str | None:
     return next((name for name in (RESULT, STUDY_RESULT) if (folder / name).exists()), None)
 
 
-def keep_config(config: Config, folder: Path) -> None:
+def keep_config(config: Struct, folder: Path) -> None:
     """Write the configuration into a folder that was checked; one that is there already says the same and stays."""
     from experiments.config import to_toml
 

@@ -16,7 +16,8 @@ from experiments import output
 from experiments.output import BadInput
 from sim.gaits import SCREENING, THOROUGH
 
-CONFIGS = sorted((Path(c.__file__).parent / "configs").glob("*.toml"))
+# Those of `bodyplan train-decoder` are another command's, and tested with it.
+CONFIGS = [path for path in sorted((Path(c.__file__).parent / "configs").glob("*.toml")) if "decoder" not in path.stem]
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 gaits = st.builds(
