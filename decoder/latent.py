@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -9,12 +12,17 @@ from numpy.typing import NDArray
 
 from decoder.design import VoxelDesign
 from decoder.genome import LATENT_DIM, GenomeDecoder
+from decoder.weights import SHIPPED, SUFFIX, load_weights
 
-__all__ = ["DECODERS", "LATENT_DIM", "PRIORS", "Decoder", "Prior", "make_decoder", "sample_latents"]
+__all__ = [
+    "DECODERS", "DEFAULT_DECODER", "LATENT_DIM", "PRIORS", "Decoder", "Prior", "decoder_digest", "make_decoder",
+    "sample_latents",
+]  # fmt: skip
 
 Prior = Literal["normal", "uniform"]
 PRIORS: tuple[str, ...] = get_args(Prior)
-DECODERS: tuple[str, ...] = ("genome",)
+DECODERS: tuple[str, ...] = ("vae", "genome")
+DEFAULT_DECODER = "genome"
 _UNIT_VARIANCE = float(np.sqrt(3.0))  # half-width of the uniform law whose variance is 1
 
 
@@ -27,14 +35,30 @@ class Decoder(Protocol):
 
 
 def make_decoder(name: str) -> Decoder:
-    """Build the decoder of that name with its default hyper-parameters.
+    """Build a decoder with its default hyper-parameters.
+
+    Args:
+        name: "vae" is the learned decoder with the weights that ship, a file ending in .safetensors the same with
+            those; "genome" is the procedural one.
 
     Raises:
+        WeightsError: if the weights cannot be used.
         ValueError: if there is no such decoder.
+        OSError: if the file cannot be read.
     """
     if name == "genome":
         return GenomeDecoder()
-    raise ValueError(f"decoder is {name!r}; available: {', '.join(DECODERS)}")
+    if name == "vae" or name.endswith(SUFFIX):
+        weights = load_weights(SHIPPED if name == "vae" else Path(name), _architecture)
+        from decoder.vae import VaeDecoder
+
+        return VaeDecoder(weights)
+    raise ValueError(f"decoder is {name!r}; available: {', '.join(DECODERS)}, or a file ending in {SUFFIX}")
+
+
+def decoder_digest(decoder: Decoder) -> str:
+    """16 hex digits over everything that a decoder makes bodies from: its numbers, and the digest of its weights."""
+    return hashlib.sha256(repr(decoder).encode()).hexdigest()[:16]
 
 
 def sample_latents(n: int, rng: np.random.Generator, prior: str = "normal") -> NDArray[np.float32]:
@@ -55,3 +79,10 @@ def sample_latents(n: int, rng: np.random.Generator, prior: str = "normal") -> N
     if prior == "uniform":
         return rng.uniform(-_UNIT_VARIANCE, _UNIT_VARIANCE, (n, LATENT_DIM)).astype(np.float32)
     raise ValueError(f"prior is {prior!r}; available: {', '.join(PRIORS)}")
+
+
+def _architecture(about: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
+    """The shape of every array of the network that weights say they are for."""
+    from decoder.networks import shapes
+
+    return shapes(about)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from decoder.design import VoxelDesign
-from decoder.latent import Decoder, make_decoder
+from decoder.latent import DEFAULT_DECODER, Decoder, make_decoder
 from evo.evaluation import Candidate, Evaluation, Walk
 from evo.fitness import DEFAULT_RULE, FitnessRule
 from mfg import pipeline
@@ -33,14 +33,14 @@ class Evaluate:
 
     Attributes:
         seed: of the run.
-        decoder: name, for `decoder.latent.make_decoder`.
+        decoder: for `decoder.latent.make_decoder`.
         rule: how speed and manufacturability make the fitness.
         budget: of the gait search.
         catalogue: of parts.
     """
 
     seed: int
-    decoder: str = "genome"
+    decoder: str = DEFAULT_DECODER
     rule: FitnessRule = DEFAULT_RULE
     budget: GaitBudget = SCREENING
     catalogue: Catalogue = PAPER
@@ -71,14 +71,14 @@ class EvaluateTwin:
 
     Attributes:
         seed: of the run.
-        decoder: name, for `decoder.latent.make_decoder`.
+        decoder: for `decoder.latent.make_decoder`.
         rule: how speed and manufacturability make the fitness.
         budget: of the gait search; its last measurement decides whether the body walks.
         catalogue: of parts.
     """
 
     seed: int
-    decoder: str = "genome"
+    decoder: str = DEFAULT_DECODER
     rule: FitnessRule = DEFAULT_RULE
     budget: GaitBudget = THOROUGH
     catalogue: Catalogue = PAPER

@@ -12,11 +12,16 @@ from __future__ import annotations
 
 import argparse
 import collections
+import functools
 import multiprocessing
 import sys
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from experiments.output import DONE, INFEASIBLE, progress
+from experiments.output import DONE, INFEASIBLE, add_decoder_option, progress
+
+if TYPE_CHECKING:
+    from decoder.latent import Decoder
 
 LEAST_AGREEMENT, MOST_DIFFERENCE = 0.99, 0.05  # of the benchmark
 
@@ -46,9 +51,10 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.check_agreement", description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=300, help="random designs (300)")
     parser.add_argument("--seed", type=int, default=0, help="of the random designs (0)")
+    add_decoder_option(parser)
     parser.add_argument("--workers", type=int, default=2, help="processes (2)")
     args = parser.parse_args(argv)
-    tasks = [(args.seed, index) for index in range(args.n)]
+    tasks = [(args.decoder, args.seed, index) for index in range(args.n)]
     with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
         found = list(progress(pool.imap(compare, tasks), args.n, "comparing"))
     counts = collections.Counter(c.kind for c in found)
@@ -64,17 +70,17 @@ def main(argv: list[str] | None = None) -> int:
     return DONE if good else INFEASIBLE
 
 
-def compare(task: tuple[int, int]) -> Comparison:
-    """Take the design of (seed, index) through both paths."""
+def compare(task: tuple[str, int, int]) -> Comparison:
+    """Take the design of (decoder, seed, index) through both paths."""
     import numpy as np
 
-    from decoder.latent import make_decoder, sample_latents
+    from decoder.latent import sample_latents
     from mfg.finish import FinishSolver
     from mfg.outcome import Failure, Stage
     from mfg.pipeline import score
 
-    seed, index = task
-    design = make_decoder("genome").decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
+    name, seed, index = task
+    design = _decoder(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
     outcome = score(design)
     fast = "passed" if outcome.failure is None else str(outcome.failure)
     if outcome.failure is not None and outcome.failure.stage != Stage.PRINT:
@@ -85,6 +91,14 @@ def compare(task: tuple[int, int]) -> Comparison:
     pairs = zip(outcome.scores.values(), full.scores.values(), strict=True)
     difference = max(abs(a - b) for a, b in pairs if a is not None and b is not None)
     return Comparison(index, fast, "passed", difference)
+
+
+@functools.cache
+def _decoder(name: str) -> Decoder:
+    """Each process makes a decoder once."""
+    from decoder.latent import make_decoder
+
+    return make_decoder(name)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import DONE, INFEASIBLE, progress, say
+from experiments.output import DONE, INFEASIBLE, add_decoder_option, progress, say
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
@@ -45,11 +45,12 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.check_builds", description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=50, help="designs that must pass (50)")
     parser.add_argument("--seed", type=int, default=0, help="of the random designs (0)")
+    add_decoder_option(parser)
     args = parser.parse_args(argv)
     tally = Tally()
     print(f"{'design':16}  bodies  parts  motors  wires   kg    cm3   finish  files")
     for _ in progress(range(args.n), args.n, "builds"):
-        if not _next(tally, args.seed, MOST_DRAWN * args.n):
+        if not _next(tally, args.decoder, args.seed, MOST_DRAWN * args.n):
             say(f"only {tally.passed} of {tally.drawn} designs passed; gave up")
             break
     print(_summary(tally))
@@ -58,7 +59,7 @@ def main(argv: list[str] | None = None) -> int:
     return INFEASIBLE if tally.problems or tally.passed < args.n else DONE
 
 
-def _next(tally: Tally, seed: int, most: int) -> bool:
+def _next(tally: Tally, name: str, seed: int, most: int) -> bool:
     """Draw designs until one is built and checked."""
     import numpy as np
 
@@ -67,10 +68,11 @@ def _next(tally: Tally, seed: int, most: int) -> bool:
     from mfg.outcome import Failure
     from mfg.pipeline import Outcome, score
 
+    decoder = make_decoder(name)
     while tally.drawn < most:
         # One stream per design: the sample does not depend on how many were refused.
         latent = sample_latents(1, np.random.default_rng([seed, tally.drawn]))
-        design: VoxelDesign = make_decoder("genome").decode(latent)[0]
+        design: VoxelDesign = decoder.decode(latent)[0]
         tally.drawn += 1
         fast = score(design)
         if not fast.ok:

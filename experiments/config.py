@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, ge
 import msgspec
 from msgspec import Meta, Struct
 
-from experiments.output import MOST_BODIES, SEED_BOUND, BadInput
+from experiments.output import DECODERS, DEFAULT_DECODER, MOST_BODIES, SEED_BOUND, WEIGHTS_SUFFIX, BadInput
 
 if TYPE_CHECKING:
     from evo.fitness import FitnessRule
@@ -28,7 +28,14 @@ Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
 Film = Annotated[float, Meta(ge=0.0, le=100.0)]
 Workers = Annotated[int, Meta(ge=0, le=1024)]
 Solver = Literal["paper"]
-DecoderName = Literal["genome"]
+DecoderName = Annotated[
+    str,
+    Meta(
+        pattern=rf"^({'|'.join(DECODERS)}|[^\x00-\x1f\x7f]*{re.escape(WEIGHTS_SUFFIX)})\Z",
+        description=" | ".join([*(f'"{name}"' for name in DECODERS), f"a file ending in {WEIGHTS_SUFFIX}"]),
+        examples=list(DECODERS),
+    ),
+]
 CatalogueName = Literal["paper"]
 Prior = Literal["normal", "uniform"]
 
@@ -37,7 +44,6 @@ NO_RESULT = ("workers", "film")  # keys that change no number of a run
 # Words of the design that this version does not know yet.
 LATER = {
     ("kind", "policy"): "training a policy",
-    ("decoder", "vae"): "the learned decoder",
     ("solver", "search"): "searching by the solvers",
     ("catalogue", "auto"): "the choice of components per joint",
 }
@@ -125,7 +131,8 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         kind: "evolve".
         seed: of everything random.
-        decoder: what turns latents into bodies.
+        decoder: what turns latents into bodies: a name, or a file of weights for the learned decoder; in a
+            configuration file its path is relative to that file.
         solver: how manufacturing constraints are solved.
         catalogue: which components.
         workers: processes; none given means one per core. It changes no result.
@@ -139,7 +146,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: Literal["evolve"]
     seed: Seed = 0
-    decoder: DecoderName = "genome"
+    decoder: DecoderName = DEFAULT_DECODER
     solver: Solver = "paper"
     catalogue: CatalogueName = "paper"
     workers: Workers | None = None
@@ -158,7 +165,8 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
         kind: "study".
         n: how many bodies.
         seed: of the draw.
-        decoder: what turns latents into bodies.
+        decoder: what turns latents into bodies: a name, or a file of weights for the learned decoder; in a
+            configuration file its path is relative to that file.
         prior: law of the latents.
         solver: how manufacturing constraints are solved.
         catalogue: which components.
@@ -168,7 +176,7 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["study"]
     n: Annotated[int, Meta(ge=1, le=MOST_BODIES)] = 1000
     seed: Seed = 0
-    decoder: DecoderName = "genome"
+    decoder: DecoderName = DEFAULT_DECODER
     prior: Prior = "normal"
     solver: Solver = "paper"
     catalogue: CatalogueName = "paper"
@@ -212,6 +220,8 @@ def load_config(path: Path) -> Config:
     config = parse_config(document, str(path))
     if isinstance(config, Sketch):
         return msgspec.structs.replace(config, design=str((path.parent / config.design).resolve()))
+    if config.decoder not in DECODERS:
+        return msgspec.structs.replace(config, decoder=str((path.parent / config.decoder).resolve()))
     return config
 
 
@@ -303,9 +313,8 @@ def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: s
         except msgspec.ValidationError:
             finite = False
         if not finite:
-            choices = [str(choice) for choice in get_args(hint)] if get_origin(hint) is Literal else []
             raise BadInput(
-                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(key, value, choices)}"
+                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(key, value, _choices(hint))}"
             )
     for field in msgspec.structs.fields(record):
         if field.required and field.name not in document:
@@ -321,10 +330,17 @@ def _allowed(hint: Any) -> str:
         return _allowed(plain[0])
     base, meta = plain
     if base is str:
-        return "a text that is not empty"
+        return str(meta.description or "a text that is not empty")
     low = f"({meta.gt:g}" if meta.gt is not None else f"[{meta.ge:g}"
     noun = "a whole number" if base is int else "a number"
     return f"{noun} in {low}, {meta.le if base is int else format(meta.le, 'g')}]"
+
+
+def _choices(hint: Any) -> list[str]:
+    """The names that a key takes."""
+    if get_origin(hint) is Literal:
+        return [str(choice) for choice in get_args(hint)]
+    return next((list(meta.examples or ()) for meta in get_args(hint) if isinstance(meta, Meta)), [])
 
 
 def _remedy(key: str, value: object, known: list[str], nouns: bool = False) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -20,7 +21,9 @@ INTERRUPTED = 3  # exit status: stopped by the user, and it can be resumed
 DEFECT = 70  # exit status: the program itself is at fault
 
 # What the options of the same name accept; a test keeps them equal to what the library offers.
-DECODERS = ("genome",)
+DECODERS = ("vae", "genome")
+DEFAULT_DECODER = "genome"
+WEIGHTS_SUFFIX = ".safetensors"  # a file of weights for the learned decoder stands where its name does
 PRIORS = ("normal", "uniform")
 SOLVERS = ("paper",)
 CATALOGUES = ("paper",)
@@ -75,6 +78,25 @@ def make_folder(path: Path | str) -> Path:
             raise BadInput(f"{part} is a file, so no folder {folder} can be made there; choose another --out")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def add_decoder_option(parser: argparse.ArgumentParser) -> None:
+    """Let the user choose what turns latents into bodies."""
+    parser.add_argument(
+        "--decoder", type=decoder, default=DEFAULT_DECODER, metavar="|".join((*DECODERS, "FILE")),
+        help=f"what turns latents into bodies; a file ends in {WEIGHTS_SUFFIX} ({DEFAULT_DECODER})",
+    )  # fmt: skip
+
+
+def decoder(text: str) -> str:
+    """Read a command-line decoder: a name, or a file of weights, whose path a run must find from anywhere."""
+    if text in DECODERS:
+        return text
+    if not text.endswith(WEIGHTS_SUFFIX) or not text.isprintable():
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no decoder; known are {', '.join(DECODERS)}, and files ending in {WEIGHTS_SUFFIX}"
+        )
+    return os.path.abspath(text)
 
 
 def count(text: str) -> int:

@@ -132,13 +132,13 @@ def opened(config: Evolve | Study, path: Path, popsize: int, resume: bool) -> It
     else:
         if resume:
             say(f"{folder} holds no run yet: starting it")
-        keep_config(config, folder)
-        Record.create(
-            path, popsize,
-            {"config": to_toml(config), "config_hash": config_hash(config), "seed": str(config.seed),
-             "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions()),
-             "ingredients": json.dumps(ingredients(config.decoder, config.catalogue))},
-        ).close()  # fmt: skip
+        meta = {
+            "config": to_toml(config), "config_hash": config_hash(config), "seed": str(config.seed),
+            "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions()),
+            "ingredients": json.dumps(ingredients(config.decoder, config.catalogue)),
+        }  # fmt: skip
+        keep_config(config, folder)  # not before the ingredients: a decoder without weights leaves nothing behind.
+        Record.create(path, popsize, meta).close()
     with Record(path, popsize) as record:
         yield record
 
@@ -164,14 +164,13 @@ def _check_past(path: Path, config: Evolve | Study) -> None:
 
 def ingredients(decoder: str, catalogue: str) -> dict[str, str]:
     """Digests of the numbers that results follow from but no configuration names, so that none changes within a run."""
-    from decoder.latent import make_decoder
+    from decoder.latent import decoder_digest, make_decoder
     from experiments.build import catalogue_of
     from mfg.pipeline import BUILDING
 
-    parts = {
-        "decoder": make_decoder(decoder), "set of solvers": BUILDING, "catalogue of components": catalogue_of(catalogue)
-    }  # fmt: skip
-    return {name: hashlib.sha256(repr(part).encode()).hexdigest()[:16] for name, part in parts.items()}
+    parts = {"set of solvers": BUILDING, "catalogue of components": catalogue_of(catalogue)}
+    digests = {name: hashlib.sha256(repr(part).encode()).hexdigest()[:16] for name, part in parts.items()}
+    return {"decoder": decoder_digest(make_decoder(decoder)), **digests}
 
 
 def versions() -> dict[str, str]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from experiments.output import DECODERS, DONE, PRIORS, count, emit, make_folder, progress, say, seed
+from experiments.output import DONE, PRIORS, add_decoder_option, count, emit, make_folder, progress, say, seed
 
 HELP = "latent samples become designs (*.npz) and a contact sheet"
 
 PICTURE = (320, 240)  # of one body [pixel]
 COLUMNS = 4
+BATCH = 32  # bodies decoded together; it changes no body
 MOST_PICTURES = 64  # a sheet of more is no longer looked at
 
 
@@ -19,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-n", type=count, default=8, help="how many bodies (8)")
     parser.add_argument("--seed", type=seed, default=0, help="seed of the draw (0)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
-    parser.add_argument("--decoder", choices=DECODERS, default="genome", help="what turns latents into bodies (genome)")
+    add_decoder_option(parser)
     parser.add_argument("--prior", choices=PRIORS, default="normal", help="law of the latents (normal)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
@@ -30,28 +31,30 @@ def main(args: argparse.Namespace) -> int:
 
     import numpy as np
 
-    from decoder.latent import make_decoder, sample_latents
+    from decoder.latent import decoder_digest, make_decoder, sample_latents
     from mfg.picture import contact_sheet, picture_of_design
     from mfg.render import save_png
 
+    decoder = make_decoder(args.decoder)
     folder = make_folder(args.out)
     latents = sample_latents(args.n, np.random.default_rng(args.seed), args.prior)
-    decoder = make_decoder(args.decoder)
     digits = len(str(args.n - 1))
     bodies, images, labels = [], [], []
-    for k in progress(range(args.n), args.n, "decoding"):
-        design = decoder.decode(latents[k : k + 1])[0]
+    designs = (design for k in range(0, args.n, BATCH) for design in decoder.decode(latents[k : k + BATCH]))
+    for k, design in enumerate(progress(designs, args.n, "decoding")):
         file = folder / f"body_{k:0{digits}d}.npz"
         design.save(file)
         bodies.append({"file": file.name, "design": design.key, "segments": len(design.segments),
                        "joints": len(design.joints)})  # fmt: skip
         if k < MOST_PICTURES:
             images.append(picture_of_design(design, PICTURE))
-            labels.append(f"{file.stem}   {len(design.joints)} joints")
+            labels.append(f"{file.stem}   {_counted(len(design.segments), 'segment')}, "
+                          f"{_counted(len(design.joints), 'joint')}")  # fmt: skip
     np.save(folder / "latents.npy", latents)
     save_png(folder / "sheet.png", contact_sheet(images, labels, min(COLUMNS, len(images))))
-    result = {"n": args.n, "seed": args.seed, "decoder": args.decoder, "prior": args.prior, "out": str(folder),
-              "sheet": "sheet.png", "latents": "latents.npy", "bodies": bodies}  # fmt: skip
+    result = {"n": args.n, "seed": args.seed, "decoder": args.decoder, "decoder_digest": decoder_digest(decoder),
+              "prior": args.prior, "out": str(folder), "sheet": "sheet.png", "latents": "latents.npy",
+              "bodies": bodies}  # fmt: skip
     (folder / "sample.json").write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     others = sorted({p.name for p in folder.glob("body_*.npz")} - {str(b["file"]) for b in bodies})
     if others:
@@ -63,3 +66,7 @@ def main(args: argparse.Namespace) -> int:
     else:
         print(f"{args.n} bodies in {folder}; look at {folder / 'sheet.png'}, then: bodyplan score {folder}/*.npz")
     return DONE
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"

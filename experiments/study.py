@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import argparse
 import functools
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.build import add_pipeline_options
 from experiments.output import (
-    DECODERS,
     DONE,
     INTERRUPTED,
     PRIORS,
     BadInput,
+    add_decoder_option,
     count,
     emit,
     make_folder,
@@ -101,7 +102,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-n", type=count, default=1000, help="how many bodies (1000)")
     parser.add_argument("--seed", type=seed, default=0, help="seed of the draw (0)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
-    parser.add_argument("--decoder", choices=DECODERS, default="genome", help="what turns latents into bodies (genome)")
+    add_decoder_option(parser)
     parser.add_argument("--prior", choices=PRIORS, default="normal", help="law of the latents (normal)")
     add_pipeline_options(parser)
     parser.add_argument("--workers", type=worker_count, help="processes; 0 works in this one (one per core)")
@@ -118,7 +119,12 @@ def main(args: argparse.Namespace) -> int:
         with terminable():
             return run_study(config, args.out, args)
     except KeyboardInterrupt:
-        words = [f"-n {args.n}", f"--seed {args.seed}", f"--decoder {args.decoder}", f"--prior {args.prior}"]
+        words = [
+            f"-n {args.n}",
+            f"--seed {args.seed}",
+            f"--decoder {shlex.quote(args.decoder)}",
+            f"--prior {args.prior}",
+        ]
         say(f"\nbodyplan: interrupted; everything that was finished is saved. Go on with: bodyplan study "
             f"{' '.join(words)} --out {args.out} --resume")  # fmt: skip
         return INTERRUPTED

@@ -93,7 +93,7 @@ def test_priors_are_white(prior: str) -> None:
 
 
 def test_unknown_names_list_what_there_is() -> None:
-    with pytest.raises(ValueError, match="available: genome"):
+    with pytest.raises(ValueError, match=r"available: vae, genome, or a file ending in \.safetensors"):
         make_decoder("oracle")
     with pytest.raises(ValueError, match="normal"):
         sample_latents(1, np.random.default_rng(0), "cauchy")

@@ -18,8 +18,8 @@ from sim.rollout import Diverged
 BUDGET = GaitBudget(
     random=4, random_seconds=1.0, generations=1, population=4, seconds=1.0, finalists=1, final_seconds=2.0, hopeless=0.0
 )
-EVALUATE = Evaluate(7, budget=BUDGET)
-TWIN = EvaluateTwin(7, budget=BUDGET)
+EVALUATE = Evaluate(7, "genome", budget=BUDGET)
+TWIN = EvaluateTwin(7, "genome", budget=BUDGET)
 
 
 def same(one: Evaluation, two: Evaluation) -> bool:
@@ -69,7 +69,7 @@ def test_the_fitness_is_the_rule_s(evaluations: list[Evaluation]) -> None:
     passed = next(e for e in evaluations if e.passed)
     assert passed.walk is not None
     assert passed.fitness == FitnessRule().fitness(passed.walk.task, passed.scores)
-    speed = Evaluate(7, rule=FitnessRule("speed"), budget=BUDGET)(passed.candidate)
+    speed = Evaluate(7, "genome", rule=FitnessRule("speed"), budget=BUDGET)(passed.candidate)
     assert speed.fitness == passed.walk.task
 
 
@@ -87,7 +87,7 @@ def test_an_answer_depends_on_the_candidate_alone(evaluations: list[Evaluation])
 def test_another_seed_or_another_place_is_another_search(evaluations: list[Evaluation]) -> None:
     passed = next(e for e in evaluations if e.passed)
     moved = Candidate(1, passed.candidate.index, passed.candidate.latent)
-    searches = [passed, EVALUATE(moved), Evaluate(8, budget=BUDGET)(passed.candidate)]
+    searches = [passed, EVALUATE(moved), Evaluate(8, "genome", budget=BUDGET)(passed.candidate)]
     assert len({gait_to_json(e.walk.gait) for e in searches if e.walk is not None}) == 3
     assert len({e.design for e in searches}) == 1
 

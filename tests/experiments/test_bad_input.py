@@ -259,7 +259,9 @@ CONFIGS: dict[str, tuple[Maker, str]] = {
     "config: out of bounds": (config('kind = "evolve"\n[search]\npopsize = 1'), "popsize = 1"),
     "config: negative workers": (config('kind = "study"\nworkers = -1'), "workers = -1"),
     "config: not a number": (config('kind = "evolve"\n[search]\nsigma = nan'), "sigma = nan"),
-    "config: decoder of a later version": (config('kind = "study"\ndecoder = "vae"'), "later version"),
+    "config: unknown decoder": (config('kind = "study"\ndecoder = "gnome"'), 'did you mean "genome"'),
+    "config: weights are missing": (config('kind = "study"\ndecoder = "no.safetensors"'), "no.safetensors: No such"),
+    "config: weights are none": (config('kind = "evolve"\ndecoder = "/dev/null.safetensors"'), "/dev/null.safetensors"),
     "config: unknown catalogue": (config('kind = "study"\ncatalogue = "cheap"'), "catalogue"),
     "config: sketch without a design": (config('kind = "sketch"'), "design is missing"),
     "config: sketch of a missing file": (config('kind = "sketch"\ndesign = "no.vox"'), "no.vox"),
@@ -278,8 +280,9 @@ def words_with(prepare: Callable[[Path], object], *argv: str) -> Maker:
 
 def folder_with(name: str, data: bytes) -> Callable[[Path], object]:
     def prepare(folder: Path) -> None:
-        (folder / "given").mkdir()
-        (folder / "given" / name).write_bytes(data)
+        path = folder / "given" / name
+        path.parent.mkdir(parents=True)
+        path.write_bytes(data)
 
     return prepare
 
@@ -324,6 +327,21 @@ FOLDERS: dict[str, tuple[Maker, str]] = {
     "study: negative count": (words("study", "-n", "-5", "--out", GIVEN), "out of bounds"),
     "study: negative workers": (words("study", "-n", "2", "--workers", "-1", "--out", GIVEN), "workers"),
     "study: unknown decoder": (words("study", "-n", "2", "--decoder", "gnome", "--out", GIVEN), "gnome"),
+    "sample: weights are missing": (
+        words("sample", "-n", "1", "--decoder", GIVEN + ".safetensors", "--out", "{tmp}/s"), "No such file",
+    ),
+    "sample: weights are text": (
+        words_with(folder_with("w.safetensors", b"trained" * 99), "sample", "-n", "1", "--decoder",
+                   GIVEN + "/w.safetensors", "--out", "{tmp}/s"), "w.safetensors: not a readable safetensors file",
+    ),
+    "study: weights are empty": (
+        words_with(folder_with("w.safetensors", b""), "study", "-n", "1", "--decoder", GIVEN + "/w.safetensors",
+                   "--out", "{tmp}/s"), "w.safetensors: the file is empty",
+    ),
+    "study: weights are a folder": (
+        words_with(folder_with("w.safetensors/x", b""), "study", "-n", "1", "--decoder", GIVEN + "/w.safetensors",
+                   "--out", "{tmp}/s"), "w.safetensors: Is a directory",
+    ),
     "study: file in the way": (words("study", "-n", "2", "--out", "{file}"), "is a file"),
 }  # fmt: skip
 ALL = {**DESIGNS, **COMMANDS, **CONFIGS, **FOLDERS}

@@ -64,10 +64,30 @@ def test_version_is_the_version_of_the_project(bodyplan):
 
 
 def test_the_options_offer_what_the_library_has():
-    from decoder.latent import DECODERS, PRIORS
+    from decoder.latent import DECODERS, DEFAULT_DECODER, PRIORS
+    from decoder.weights import SUFFIX
 
     assert output.DECODERS == DECODERS
+    assert output.DEFAULT_DECODER == DEFAULT_DECODER
+    assert output.WEIGHTS_SUFFIX == SUFFIX
     assert output.PRIORS == PRIORS
+
+
+@pytest.mark.parametrize("command", ["sample", "study"])
+def test_a_decoder_is_a_name_or_a_file_whose_path_holds_everywhere(command, tmp_path, monkeypatch):
+    parser = argparse.ArgumentParser()
+    COMMANDS[command].configure(parser)
+    monkeypatch.chdir(tmp_path)
+
+    def chosen(*words):
+        return parser.parse_args(["--out", "x", *words]).decoder
+
+    assert chosen() == output.DEFAULT_DECODER
+    assert [chosen("--decoder", name) for name in output.DECODERS] == list(output.DECODERS)
+    assert chosen("--decoder", "own.safetensors") == str(tmp_path / "own.safetensors")
+    for wrong in ("gnome", "", "VAE", "own.pt", "a\nb.safetensors", "\udc80.safetensors"):
+        with pytest.raises(argparse.ArgumentTypeError, match=r"no decoder; known are vae, genome, and files ending in"):
+            output.decoder(wrong)
 
 
 @pytest.mark.parametrize(("word", "hint"), [("biuld", "'build'"), ("scores", "'score'"), ("docter", "'doctor'")])

@@ -83,7 +83,13 @@ def evolve(**keys: Any) -> dict[str, Any]:
             {"kind": "policy"},
             'kind = "policy"; it must be "evolve" | "study" | "sketch"; training a policy arrives in a later version',
         ),
-        (evolve(decoder="vae"), 'decoder = "vae"; it must be "genome"; the learned decoder arrives in a later version'),
+        (
+            evolve(decoder="gnome"),
+            'decoder = "gnome"; it must be "vae" | "genome" | a file ending in .safetensors; did you mean "genome"?',
+        ),
+        (evolve(decoder="a\nb.safetensors"), 'decoder = "a\\u000ab.safetensors"; it must be "vae" | "genome" | a file'),
+        (evolve(decoder=""), 'decoder = ""; it must be "vae" | "genome"'),
+        (evolve(decoder=7), 'decoder = 7; it must be "vae" | "genome"'),
         (evolve(solver="search"), 'solver = "search"; it must be "paper"; searching by the solvers arrives'),
         (evolve(sed=1), "unknown key sed; did you mean seed?"),
         (evolve(search={"popsiz": 8}), "unknown key search.popsiz; did you mean popsize?"),
@@ -178,6 +184,24 @@ def test_a_sketch_is_found_beside_its_configuration(tmp_path: Path) -> None:
     assert config.design == str((tmp_path / "bodies" / "dog.vox").resolve())
 
 
+@pytest.mark.parametrize("kind", ["evolve", "study"])
+def test_weights_are_found_beside_their_configuration(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "c.toml").write_text(f'kind = "{kind}"\ndecoder = "mine/own.safetensors"')
+    config = c.load_config(tmp_path / "c.toml")
+    assert isinstance(config, c.Evolve | c.Study)
+    assert config.decoder == str((tmp_path / "mine" / "own.safetensors").resolve())
+    (tmp_path / "held.toml").write_text(c.to_toml(config))
+    assert c.load_config(tmp_path / "held.toml") == config
+
+
+@pytest.mark.parametrize("name", output.DECODERS)
+def test_the_name_of_a_decoder_is_no_path(tmp_path: Path, name: str) -> None:
+    (tmp_path / "c.toml").write_text(f'kind = "study"\ndecoder = "{name}"')
+    config = c.load_config(tmp_path / "c.toml")
+    assert isinstance(config, c.Study)
+    assert config.decoder == name
+
+
 def test_defaults_are_those_of_the_library() -> None:
     assert c.Gait().budget() == SCREENING
     assert c.Finals().gait.budget() == THOROUGH
@@ -185,7 +209,8 @@ def test_defaults_are_those_of_the_library() -> None:
 
 
 def test_choices_are_those_of_the_command_line() -> None:
-    assert get_args(c.DecoderName) == output.DECODERS
+    assert tuple(c._choices(c.DecoderName)) == output.DECODERS
+    assert c.Evolve("evolve").decoder == c.Study("study").decoder == output.DEFAULT_DECODER
     assert get_args(c.Solver) == output.SOLVERS
     assert get_args(c.CatalogueName) == output.CATALOGUES
     assert get_args(c.Prior) == output.PRIORS

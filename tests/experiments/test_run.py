@@ -7,7 +7,7 @@ import shutil
 import signal
 import sqlite3
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from decoder.genome import GenomeDecoder
+from decoder.weights import Weights, load_weights, save_weights
 from evo.evaluation import Candidate, Evaluation, Walk
 from experiments import best, run, run_folder
 from mfg.outcome import Failure, Reason, Scores, Stage
@@ -25,6 +26,7 @@ from sim.actor import Gait
 CONFIG = """
 kind = "evolve"
 seed = 4
+decoder = "genome"
 [search]
 generations = 3
 popsize = 4
@@ -219,6 +221,32 @@ def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
     assert said.err.count("\n") == 1
     assert rows(tmp_path / "out") == before
     assert experiment("--resume").status == 0
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Stands in for the learned decoder, of which only the digest of its weights counts here."""
+
+    weights: Weights
+
+
+def test_a_run_does_not_go_on_with_other_weights(
+    experiment: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("decoder.latent.make_decoder", lambda name: Learned(load_weights(Path(name))))
+    config, file = tmp_path / "learned.toml", tmp_path / "own.safetensors"
+    config.write_text(CONFIG.replace('"genome"', '"own.safetensors"'))
+    assert "own.safetensors: No such file" in experiment(config=config).err
+    save_weights(file, {"w": np.zeros(3)}, {})
+    stop_at(monkeypatch, 3, interrupt)
+    assert experiment(config=config).status == 3  # What failed before left nothing in the way.
+    kept = file.read_bytes()
+    save_weights(file, {"w": np.ones(3)}, {})
+    said = experiment("--resume", config=config)
+    assert said.status == 2
+    assert "was made by a program with another decoder" in said.err
+    file.write_bytes(kept)
+    assert experiment("--resume", config=config).status == 0
 
 
 def test_finalists_whose_exported_model_does_not_walk_are_passed_over(

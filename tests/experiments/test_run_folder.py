@@ -16,8 +16,8 @@ from experiments.run_folder import RUN_FILES, finished, keep_config, opened
 
 Command = Callable[..., Any]
 CONFIGS = {
-    "evolve": 'kind = "evolve"\nseed = 4\n[search]\ngenerations = 1\npopsize = 4\n',
-    "study": 'kind = "study"\nseed = 4\nn = 3\n',
+    "evolve": 'kind = "evolve"\nseed = 4\ndecoder = "genome"\n[search]\ngenerations = 1\npopsize = 4\n',
+    "study": 'kind = "study"\nseed = 4\ndecoder = "genome"\nn = 3\n',
     "sketch": 'kind = "sketch"\nseed = 4\ndesign = "hinge.npz"\n',
 }
 

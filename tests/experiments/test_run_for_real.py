@@ -31,6 +31,7 @@ Command = Callable[..., Any]
 CONFIG = """
 kind = "evolve"
 seed = 3
+decoder = "genome"
 film = 0.0
 
 [search]

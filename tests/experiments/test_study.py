@@ -48,7 +48,9 @@ def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, bodyplan: Command) ->
     monkeypatch.setattr(study, "_draw_examples", lambda *_: None)
     for name, value in (("calls", 0), ("stop_at", 0), ("broken", -1)):
         monkeypatch.setattr(Fake, name, value)
-    return lambda *words, out=tmp_path / "s": bodyplan("study", "-n", 90, "--workers", 0, "--out", out, *words)
+    return lambda *words, out=tmp_path / "s": bodyplan(
+        "study", "-n", 90, "--decoder", "genome", "--workers", 0, "--out", out, *words
+    )
 
 
 def rows(folder: Path) -> list[Any]:
@@ -65,7 +67,10 @@ def test_the_number_of_workers_changes_nothing(
     monkeypatch.setattr(study, "_draw_examples", lambda *_: None)  # the answers are what counts here, not pictures.
     results = []
     for workers in (0, 2):
-        said = bodyplan("study", "-n", 6, "--seed", 1, "--workers", workers, "--out", tmp_path / str(workers), "--json")
+        said = bodyplan(
+            "study", "-n", 6, "--seed", 1, "--decoder", "genome", "--workers", workers, "--out",
+            tmp_path / str(workers), "--json",
+        )  # fmt: skip
         assert said.status == 0
         result = json.loads(said.out)
         assert json.loads((tmp_path / str(workers) / "study.json").read_text()) == result
