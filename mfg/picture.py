@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.design import VoxelDesign
+from decoder.design import Joint, Material, VoxelDesign
 from mfg.blueprint import Blueprint
 from mfg.fields import Field
 from mfg.mounts import housing, motor_pose, mount_of
 from mfg.render import Colour, Shape, render
 from mfg.skins import soft_owner
-from mfg.solids import Solid, ball_chain, box, cylinder, from_field
+from mfg.solids import Solid, ball_chain, box, cylinder, from_field, union
 from mfg.voxel_fields import bone_field, whole_field
 
 if TYPE_CHECKING:
@@ -34,15 +34,27 @@ BONES: tuple[Colour, ...] = (
     (0.86, 0.87, 0.89), (0.93, 0.86, 0.74), (0.80, 0.88, 0.80), (0.91, 0.80, 0.80), (0.78, 0.86, 0.92),
     (0.90, 0.88, 0.70), (0.86, 0.80, 0.92), (0.76, 0.90, 0.88),
 )  # fmt: skip
-SKIN_ALPHA = 0.28
+# Segments of a bare design, where nothing else is coloured: far from each other, from the skin and from the axes.
+SEGMENTS: tuple[Colour, ...] = (
+    (0.91, 0.89, 0.82), (0.90, 0.66, 0.22), (0.42, 0.68, 0.36), (0.62, 0.46, 0.78), (0.16, 0.62, 0.60),
+    (0.88, 0.82, 0.36), (0.90, 0.58, 0.72), (0.55, 0.42, 0.30),
+)  # fmt: skip
+SKIN_ALPHA, THIN_ALPHA = 0.28, 0.13  # of the skin of a blueprint, and of a bare design, whose bones are to be seen
 SMOOTHING = 0.8  # of the surfaces of a bare design, as in the solvers [voxels]
 SURFACE = 1.5e-3  # a triangle of a skin shallower than this belongs to its outer surface [m]
-AXIS_RADIUS, AXIS_LENGTH = 0.004, 0.15  # of the rod that shows a hinge [m]
+AXIS_RADIUS, AXIS_LENGTH = 0.005, 0.15  # of the rod that shows a hinge [m]
+CAP_RADIUS, CAP_LENGTH = 0.011, 0.008  # of the discs at its ends [m]
+AXIS_GHOST = 0.45  # how much of an axis shows through the bones before it
+AXIS_CORE, AXIS_OUT = 0.045, 0.025  # a rod passes what lies so near to its axis by so much [m]
+AXIS_REACH = (0.055, 0.16)  # least and most from its middle to an end [m]
 LABEL_HEIGHT = 34  # of one line of text under a picture [pixels]
 
 
 def picture_of_design(design: VoxelDesign, size: tuple[int, int] = (640, 480)) -> Image:
-    """Draw a design before any hardware: bones tinted by segment, skin translucent, hinge axes as rods."""
+    """Draw a design before any hardware: bones coloured by segment, skin a translucent shell, hinge axes as rods.
+
+    An axis sticks out of the bones that it joins, and where they hide it, it shows through them faintly.
+    """
     return render(design_shapes(design), size, floor=True)
 
 
@@ -51,12 +63,12 @@ def design_shapes(design: VoxelDesign) -> list[Shape]:
     shapes = []
     owner = soft_owner(design)
     for index, segment in enumerate(design.segments):
-        shapes.append(_shape(from_field(bone_field(design, segment, SMOOTHING)), BONES[index % len(BONES)]))
+        shapes.append(_shape(from_field(bone_field(design, segment, SMOOTHING)), SEGMENTS[index % len(SEGMENTS)]))
         soft = owner == segment
         if soft.any():
             whole = from_field(whole_field(design, segment, soft, SMOOTHING))
-            shapes.append(_shape(whole, SKIN, SKIN_ALPHA))
-    shapes += [axis_rod(joint.position, joint.axis) for joint in design.joints]
+            shapes.append(_shape(whole, SKIN, THIN_ALPHA))
+    shapes += [axis_rod(joint.position, joint.axis, _through(design, joint)) for joint in design.joints]
     return shapes
 
 
@@ -99,10 +111,30 @@ def blueprint_shapes(blueprint: Blueprint, explode: float = 0.0) -> list[Shape]:
     return shapes
 
 
-def axis_rod(position: NDArray[np.float64], axis: NDArray[np.float64]) -> Shape:
-    """A thin rod along a hinge axis."""
-    rod = _shape(cylinder(AXIS_RADIUS, -AXIS_LENGTH / 2, AXIS_LENGTH / 2, 12), AXIS)
-    return rod.moved(motor_pose(position, axis, 0.0))
+def axis_rod(
+    position: NDArray[np.float64],
+    axis: NDArray[np.float64],
+    ends: tuple[float, float] = (-AXIS_LENGTH / 2, AXIS_LENGTH / 2),
+) -> Shape:
+    """A rod along a hinge axis with a disc at either end, from its middle [m]; it shows through what is before it."""
+    low, high = ends
+    rod = union([
+        cylinder(AXIS_RADIUS, low, high, 16),
+        cylinder(CAP_RADIUS, low, low + CAP_LENGTH, 24),
+        cylinder(CAP_RADIUS, high - CAP_LENGTH, high, 24),
+    ])  # fmt: skip
+    return replace(_shape(rod, AXIS), ghost=AXIS_GHOST).moved(motor_pose(position, axis, 0.0))
+
+
+def _through(design: VoxelDesign, joint: Joint) -> tuple[float, float]:
+    """Ends of a rod through a joint that sticks out of the two bones, from its middle [m]."""
+    bones = (design.material == Material.RIGID) & np.isin(design.segment, (joint.parent, joint.child))
+    offset = (np.argwhere(bones) + 0.5) * design.pitch - joint.position
+    along = offset @ joint.axis
+    near = along[np.linalg.norm(offset - along[:, None] * joint.axis, axis=1) < AXIS_CORE]
+    least, most = AXIS_REACH
+    low, high = (near.min(), near.max()) if len(near) else (0.0, 0.0)
+    return -float(np.clip(AXIS_OUT - low, least, most)), float(np.clip(high + AXIS_OUT, least, most))
 
 
 def contact_sheet(images: Sequence[Image], labels: Sequence[str], columns: int = 4) -> Image:

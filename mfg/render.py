@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,14 @@ class Shape:
         triangles: (m, 3) vertex indices, counter-clockwise seen from outside.
         colour: red, green, blue in [0, 1], as on a screen.
         alpha: 1 is opaque, 0 invisible.
+        ghost: how much of an opaque shape shows through opaque ones before it, 0 nothing.
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int64]
     colour: Colour
     alpha: float = 1.0
+    ghost: float = 0.0
 
     @cached_property
     def normals(self) -> F32:
@@ -69,7 +71,7 @@ class Shape:
     def moved(self, transform: NDArray[np.float64]) -> Shape:
         """The shape under a (4, 4) rigid transform; its normals are turned with it, not computed again."""
         rotation = np.asarray(transform, np.float64)[:3, :3]
-        shape = Shape(self.vertices @ rotation.T + transform[:3, 3], self.triangles, self.colour, self.alpha)
+        shape = replace(self, vertices=self.vertices @ rotation.T + transform[:3, 3])
         shape.__dict__["normals"] = self.normals @ rotation.T.astype(np.float32)
         return shape
 
@@ -234,6 +236,9 @@ class _Stage:
         clear = [k for k, s in enumerate(shapes) if s.alpha < 1]
         self.solid = _Soup([shapes[k] for k in solid], solid)
         self.clear = _Soup([shapes[k] for k in clear], clear)
+        ghosts = [k for k in solid if shapes[k].ghost > 0]
+        self.ghosts = _Soup([shapes[k] for k in ghosts], ghosts)
+        self.ghost = np.array([s.ghost for s in shapes], np.float32)
         self.albedo = np.array([s.colour for s in shapes], np.float32).reshape(-1, 3) ** np.float32(GAMMA)
         self.alpha = np.array([s.alpha for s in shapes], np.float32)
         self.background = np.array(background, np.float32) ** np.float32(GAMMA)
@@ -263,7 +268,18 @@ class _Stage:
         ground = np.flatnonzero(what == FLOOR)
         light[ground] = self._floor(origin[ground] + ray[ground] * far[ground, None], sun[ground], sky[ground])
         light[_outline(what, shape)] *= INK
+        self._haunt(origin, ray, what, light)
         return far, light
+
+    def _haunt(self, origin: F32, ray: F32, what: NDArray[np.int32], light: F32) -> None:
+        """Let hidden shapes show through what hides them [in place]; the floor hides them for good."""
+        triangle, _, _ = self.ghosts.hit(origin, ray)
+        hidden = np.flatnonzero((triangle >= 0) & (what >= 0))
+        who = self.ghosts.owner[triangle[hidden]]
+        behind = self.ghost[what[hidden]] == 0  # One of them does not show through another.
+        hidden, who = hidden[behind], who[behind]
+        share = self.ghost[who, None]
+        light[hidden] = light[hidden] * (1 - share) + self.albedo[who] * share
 
     def cover(self, origin: F32, ray: F32, far: F32, light: F32) -> None:
         """Lay the translucent shapes in front of `far` over `light` [in place], nearest first."""
