@@ -205,6 +205,7 @@ DESIGNS: dict[str, tuple[Maker, str]] = {
     "vox: two models": (content("bad.vox", vox(SIZE, VOXEL, SIZE, VOXEL)), "2 models"),
 }  # fmt: skip
 
+GENOME = ("--decoder", "genome")  # loads nothing
 COMMANDS: dict[str, tuple[Maker, str]] = {
     "no command": (words(), "COMMAND"),
     "unknown command": (words("scroe", "{good}"), "did you mean 'score'"),
@@ -222,11 +223,14 @@ COMMANDS: dict[str, tuple[Maker, str]] = {
     "unknown prior": (words("sample", "-n", "1", "--prior", "cauchy", "--out", "{tmp}/s"), "cauchy"),
     "unknown solver": (words("score", "{good}", "--solver", "magic"), "magic"),
     "unknown catalogue": (words("build", "{good}", "--catalogue", "ikea", "--out", "{tmp}/b"), "ikea"),
-    "file in the way of samples": (words("sample", "-n", "1", "--out", "{file}"), "is a file"),
+    "file in the way of samples": (words("sample", "-n", "1", *GENOME, "--out", "{file}"), "is a file"),
     "file in the way of a blueprint": (words("build", "{good}", "--out", "{file}"), "is a file"),
     "file above the output folder": (words("build", "{good}", "--out", "{file}/below"), "is a file"),
-    "output in a folder that cannot be": (words("sample", "-n", "1", "--out", "/proc/nothing"), "/proc/nothing"),
-    "name too long": (words("sample", "-n", "1", "--out", "{tmp}/" + "x" * 300), "name too long"),
+    "output in a folder that cannot be": (
+        words("sample", "-n", "1", *GENOME, "--out", "/proc/nothing"),
+        "/proc/nothing",
+    ),
+    "name too long": (words("sample", "-n", "1", *GENOME, "--out", "{tmp}/" + "x" * 300), "name too long"),
 }
 
 
@@ -404,7 +408,7 @@ def test_a_full_disk_is_one_clear_line(bodyplan, tmp_path, monkeypatch):
         raise OSError(28, os.strerror(28), str(tmp_path / "s" / "body_0.npz"))
 
     monkeypatch.setattr(VoxelDesign, "save", full)
-    one_clear_line(bodyplan("sample", "-n", "1", "--out", tmp_path / "s"), "No space left on device")
+    one_clear_line(bodyplan("sample", "-n", "1", *GENOME, "--out", tmp_path / "s"), "No space left on device")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has /dev/full")
@@ -412,13 +416,13 @@ def test_a_full_disk_at_the_first_write_is_one_clear_line(bodyplan, tmp_path):
     folder = tmp_path / "s"
     folder.mkdir()
     (folder / "body_0.npz").symlink_to("/dev/full")
-    one_clear_line(bodyplan("sample", "-n", "1", "--out", folder), "No space left on device")
+    one_clear_line(bodyplan("sample", "-n", "1", *GENOME, "--out", folder), "No space left on device")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_read_only_folder_is_one_clear_line(bodyplan, tmp_path):
     (tmp_path / "locked").mkdir(mode=0o555)
-    one_clear_line(bodyplan("sample", "-n", "1", "--out", tmp_path / "locked" / "s"), "Permission denied")
+    one_clear_line(bodyplan("sample", "-n", "1", *GENOME, "--out", tmp_path / "locked" / "s"), "Permission denied")
 
 
 def test_a_file_that_may_not_be_read_is_one_clear_line(bodyplan, tmp_path, hinge, monkeypatch):

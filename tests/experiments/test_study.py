@@ -152,14 +152,14 @@ def test_the_first_bodies_do_not_depend_on_how_many_are_drawn(
     quick: Command, bodyplan: Command, tmp_path: Path
 ) -> None:
     assert quick().status == 0
-    assert bodyplan("study", "-n", 20, "--workers", 0, "--out", tmp_path / "few").status == 0
+    assert bodyplan("study", "-n", 20, "--decoder", "genome", "--workers", 0, "--out", tmp_path / "few").status == 0
     assert rows(tmp_path / "few") == rows(tmp_path / "s")[:20]
 
 
 def test_pictures_of_designs_that_passed_and_failed(tmp_path: Path) -> None:
     from experiments.config import Study
 
-    config = Study("study", n=3, seed=1)
+    config = Study("study", n=3, seed=1, decoder="genome")
     latents = study._latents(config)
     scorer = study.Score("genome", "paper")
     evaluations = [scorer(Candidate(0, k, latents[k])) for k in range(2)]
