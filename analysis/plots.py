@@ -153,6 +153,8 @@ def training_curve(seconds: Sequence[float], bodies: Sequence[float], figures: M
             axes.grid(axis="y")
         for axes in panels[len(figures) :]:
             axes.set_visible(False)
+        for axes in panels[max(len(figures) - columns, 0) : len(figures)]:
+            axes.tick_params(labelbottom=True)  # the lowest of its column, which need not be in the last row
         figure.supxlabel(f"time spent on training [{name}], {bodies[-1]:.0f} bodies in all",
                          fontsize=9.0)  # fmt: skip
         return _png(figure)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -133,41 +131,6 @@ def measure(codec: Codec, bodies: int, samples: int) -> Evaluation:
     return evaluated(codec, held_out_bodies(bodies), None, prior_n=samples, pairs=PAIRS, watch=progress)
 
 
-def ship(config: TrainDecoder, folder: Path) -> dict[str, Any]:
-    """Put the trained weights into the package, unless those that are there are at least as good.
-
-    Returns:
-        `kept`, which of the two the package has now, and `why`.
-
-    Raises:
-        OSError: if the package cannot be written.
-    """
-    from decoder.figures import better
-    from decoder.weights import DIGEST, SHIPPED, load_weights
-
-    path = folder / WEIGHTS
-    mine = json.loads((folder / RESULT).read_text(encoding="utf-8"))
-    if not SHIPPED.exists():
-        told = {"kept": "new", "why": "the package had none"}
-    else:
-        weights = load_weights()
-        if weights.sha256 == mine["sha256"]:
-            told = {"kept": "new", "why": "the package has these very weights already"}
-        else:
-            say("measuring the weights of the package")
-            found = measure(codec_of(weights), config.evaluation.bodies, config.evaluation.samples)
-            new, old = _bounds(mine["goals"]), found.bounds()
-            wins = better(new, old)
-            told = {"kept": "new" if wins else "old", "why": _why(new, old)}
-    if told["kept"] == "new":
-        SHIPPED.parent.mkdir(exist_ok=True)
-        _replace(SHIPPED, lambda partial: shutil.copyfile(path, partial))
-        _replace(DIGEST, lambda partial: partial.write_text(f"{mine['sha256']}  {SHIPPED.name}\n", "ascii"))
-    said = "the package has the new weights" if told["kept"] == "new" else "the package keeps its weights"
-    say(f"{said}: {told['why']}")
-    return told
-
-
 def write_model_card(config: TrainDecoder, folder: Path) -> Path:
     """The card of a training's weights: the package's if they are the package's, else in the folder."""
     curve = folder / CURVE_PICTURE
@@ -200,7 +163,7 @@ def _card(path: Path, out: Path | None, bodies: int, samples: int, curve: bytes 
     from experiments import decoder_card
 
     weights = load_weights(path)
-    shipped = SHIPPED.exists() and (path.resolve() == SHIPPED or load_weights().sha256 == weights.sha256)
+    shipped = SHIPPED.exists() and (path.resolve() == SHIPPED or load_weights(SHIPPED).sha256 == weights.sha256)
     if out is not None or not shipped:
         folder = path.parent if out is None else out
         card, pictures, name = folder / CARD, folder / PICTURES, str(path)
@@ -266,29 +229,9 @@ def _result(
     }
 
 
-def _bounds(goals: list[dict[str, Any]]) -> tuple[Bound, ...]:
-    """Goals as they were before they were written down."""
-    from decoder.figures import Bound
-
-    rows = [{key: value for key, value in goal.items() if key != "reached"} for goal in goals]
-    return tuple(Bound(**{**row, "value": float("nan") if row["value"] is None else row["value"]}) for row in rows)
-
-
 def _finite(value: float) -> float | None:
     """JSON has no word for a number that is not finite."""
     return value if abs(value) < float("inf") else None
-
-
-def _why(new: tuple[Bound, ...], old: tuple[Bound, ...]) -> str:
-    """Both merits, and the figure on which they differ most."""
-    from decoder.figures import merit
-
-    count = sum(bound.weighed for bound in new)
-    ours, theirs = merit(new), merit(old)
-    pairs = [(a, b) for a, b in zip(new, old, strict=True) if a.weighed]
-    a, b = max(pairs, key=lambda pair: abs(pair[0].ratio - pair[1].ratio))
-    goals = f"{ours[0]:.4f} against {theirs[0]:.4f} of {count} goals, {ours[1]:.4f} against {theirs[1]:.4f} with excess"
-    return f"{goals}; they differ most in {a.name}, {a.value:.4g}{a.unit} against {b.value:.4g}{b.unit}"
 
 
 def _summary(result: Mapping[str, Any]) -> str:
@@ -300,10 +243,3 @@ def _summary(result: Mapping[str, Any]) -> str:
         rows.append(f"  {goal['name']:44} {value:>10}   {goal['direction']} {goal['goal']:g}{goal['unit']}, {mark}")
     path = result["weights"]
     return "\n".join([*rows, f"  use them by --decoder {path}, or put them into the package by --resume --ship"])
-
-
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Replace a file as a whole."""
-    partial = path.with_name(path.name + ".partial")
-    write(partial)
-    os.replace(partial, path)

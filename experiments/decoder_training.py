@@ -203,7 +203,7 @@ def _ready(config: TrainDecoder, folder: Path) -> tuple[Training, Mark]:
     weights = None
     if config.start == "shipped":
         if SHIPPED.exists():
-            weights = load_weights()
+            weights = load_weights(SHIPPED)
         else:
             say(f"note: {SHIPPED} is not there to go on from, so this training starts from scratch")
     precision = _precision(config, device, threads, weights)

@@ -86,7 +86,8 @@ def main(args: argparse.Namespace) -> int:
 def _train(config: TrainDecoder, folder: Path, args: argparse.Namespace, again: str) -> dict[str, Any]:
     """Train as far as time allows; a complete training is written down, measured and, if asked for, shipped."""
     from experiments.decoder_folder import check_training_folder
-    from experiments.decoder_result import HeldOut, conclude, ship, write_model_card
+    from experiments.decoder_result import HeldOut, conclude, write_model_card
+    from experiments.decoder_ship import ship
     from experiments.decoder_training import stoppable, train
 
     make_folder(folder)
@@ -100,7 +101,7 @@ def _train(config: TrainDecoder, folder: Path, args: argparse.Namespace, again: 
                 why = "stopped" if stop.signalled else f"{args.seconds:g} s are over"
                 say(f"bodyplan: {why} at step {mark.step} of {config.steps}; everything is saved. Go on with: {again}")
                 return result
-            if stop.signalled or held_out.closing_seconds(1 + args.ship) > stop.left():
+            if stop.signalled or held_out.closing_seconds(1 + args.ship) > max(stop.left(), 0.0):
                 say(f"bodyplan: trained; what is left is to measure the weights. Go on with: {again}")
                 return result
         with terminable():

@@ -75,3 +75,11 @@ def test_every_word_of_the_vocabulary_is_explained():
     assert set(STAGES) == set(Stage)
     assert set(plots.COLOURS) == set(OUTCOMES)
     assert len(SCORE_COLUMNS) == 5
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 5])
+@pytest.mark.parametrize("end", [1.0, 300.0, 1e5])
+def test_a_training_curve_has_a_panel_per_figure(count, end):
+    values = [[0.1, float("nan"), 0.9], [-1.0, 0.0, 1.0], [float("nan")] * 3, [1.0, 2.0, 3.0], [5.0] * 3][:count]
+    figures = {f"loss_{k}" if k % 2 else f"figure_{k}": value for k, value in enumerate(values)}
+    assert ink(plots.training_curve([0.0, end / 2, end], [0, 8, 16], figures)) > 0.002

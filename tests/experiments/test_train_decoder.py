@@ -6,6 +6,9 @@ The loop is tested on a training of sixteen numbers; the real one has its tests 
 from __future__ import annotations
 
 import csv
+import dataclasses
+import io
+import itertools
 import json
 import os
 import signal
@@ -19,10 +22,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from decoder.design import VoxelDesign
+from decoder.weights import load_weights
 from experiments import decoder_training
 from experiments.decoder_config import CURVE_SEED, TrainDecoder, load_decoder_config
 from experiments.decoder_folder import Curve, Mark, check_training_folder, read_checkpoint, read_curve, write_checkpoint
-from experiments.decoder_training import furthest, stoppable, train
+from experiments.decoder_training import Stop, furthest, stoppable, train
 from experiments.output import BadInput
 
 CONFIGS = Path(decoder_training.__file__).parent / "configs"
@@ -77,6 +82,9 @@ class Training:
         total = 1.0 + float(np.square(self.numbers).sum())
         return {"total": total * (1 + self.rounding * (self.settings.precision == "bf16")), "kl": 1.0}
 
+    def weights(self):
+        return {"numbers": self.numbers.astype(np.float32)}
+
     def save(self, path):
         with path.open("wb") as file:
             np.save(file, np.append(self.numbers, self.step))
@@ -89,15 +97,25 @@ class Training:
         return cls(settings, np.array(numbers), int(step))
 
 
+def module(name, **names):
+    made = types.ModuleType(name)
+    vars(made).update(names)
+    return made
+
+
+def stand_in():
+    """A module like the real one, with a training of its own."""
+    kind = type("Training", (Training,), {})
+    names = {"Settings": Settings, "TrainingError": TrainingError, "Diverged": Diverged}
+    return module("decoder.training", Training=kind, **names)
+
+
 @pytest.fixture
 def fake(monkeypatch):
     """The training of sixteen numbers in the place of the real one."""
-    kind = type("Training", (Training,), {})
-    module = types.ModuleType("decoder.training")
-    module.Settings, module.Training = Settings, kind
-    module.TrainingError, module.Diverged = TrainingError, Diverged
-    monkeypatch.setitem(sys.modules, "decoder.training", module)
-    return kind
+    made = stand_in()
+    monkeypatch.setitem(sys.modules, "decoder.training", made)
+    return made.Training
 
 
 def config(**changes):
@@ -110,21 +128,16 @@ def measure(training):
     return {"body_iou": float(np.tanh(training.numbers.mean())), "missing": float("nan")}
 
 
-def sit(settings, folder, stop_after=None):
-    """One sitting, which a signal ends after some steps."""
+def sit(settings, folder, stop_after=None, figures=measure):
+    """One sitting, which ends after some steps."""
     folder.mkdir(exist_ok=True)
-    with stoppable(None) as stop:
-        count = [0]
+    steps = itertools.count(1)
 
-        def counted(training):
-            return measure(training)
+    class After(Stop):
+        def now(self):
+            return next(steps) == stop_after
 
-        class Stopping(type(stop)):
-            def now(self):
-                count[0] += 1
-                return count[0] == stop_after
-
-        return train(settings, folder, Stopping(), counted)
+    return train(settings, folder, After(), figures)
 
 
 def points(folder):
@@ -210,7 +223,7 @@ def test_a_bad_command_line_is_one_line(bodyplan, words, line):
 # The loop
 
 
-@pytest.mark.parametrize("cuts", [(1,), (4,), (5, 3, 7), (6, 6), (19,)])
+@pytest.mark.parametrize("cuts", [(1,), (5, 3, 7), (6, 6)])
 def test_sittings_add_up_to_one_training(fake, tmp_path, cuts):
     whole, _ = sit(config(), tmp_path / "whole")
     for cut in cuts:
@@ -248,6 +261,26 @@ def test_a_crash_costs_what_came_after_the_checkpoint_and_shows_no_step_twice(fa
     assert len(shown) == len(set(shown))
     assert {step for tag, step in shown if tag == "loss/total"} == {10, 20}
     assert {step for tag, step in shown if tag == "held_out/body_iou"} == {6, 12, 18, 20}
+
+
+def test_a_killed_process_leaves_a_training_that_goes_on(fake, tmp_path):
+    whole, _ = sit(config(), tmp_path / "whole")
+    code = f"""if True:
+        import importlib.util, os, pathlib, signal, sys
+        spec = importlib.util.spec_from_file_location("here", {__file__!r})
+        here = sys.modules["here"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(here)
+        made = sys.modules["decoder.training"] = here.stand_in()
+        made.Training.before_step = staticmethod(lambda step: step == 15 and os.kill(os.getpid(), signal.SIGKILL))
+        here.sit(here.config(), pathlib.Path({str(tmp_path / "cut")!r}))
+    """
+    done = subprocess.run([sys.executable, "-c", code], cwd=CONFIGS.parent.parent, capture_output=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert read_checkpoint(tmp_path / "cut")[1].step == 12
+    parts, _ = sit(config(), tmp_path / "cut")
+    assert parts.numbers.tobytes() == whole.numbers.tobytes()
+    shown = [(tag, step) for tag, step, _ in points(tmp_path / "cut")]
+    assert len(shown) == len(set(shown))
 
 
 def test_a_row_that_was_written_after_the_checkpoint_is_made_again(fake, tmp_path):
@@ -307,6 +340,17 @@ def test_a_training_that_diverges_is_one_line_that_names_what_is_left(fake, tmp_
         sit(config(), tmp_path / "other")
 
 
+def test_sittings_of_the_real_training_add_up(tmp_path):
+    pytest.importorskip("decoder.training")
+    few = config(steps=4, batch=2, checkpoint_every=2, evaluate_every=4)
+    whole, _ = sit(few, tmp_path / "whole", figures=lambda _: {})
+    sit(few, tmp_path / "cut", stop_after=1, figures=lambda _: {})
+    parts, mark = sit(few, tmp_path / "cut", figures=lambda _: {})
+    assert mark.step == 4
+    one, two = whole.weights(), parts.weights()
+    assert {name: array.tobytes() for name, array in one.items()} == {name: a.tobytes() for name, a in two.items()}
+
+
 # What another precision may differ by
 
 
@@ -337,10 +381,7 @@ def test_bf16_is_trusted_only_if_it_agrees(fake, tmp_path, monkeypatch, capsys, 
 def test_going_on_elsewhere_is_told(fake, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(decoder_training, "_device", lambda _: ("cuda", "a GPU"))
     sit(config(device="auto"), tmp_path / "run", stop_after=2)
-    monkeypatch.undo()
-    monkeypatch.setitem(sys.modules, "decoder.training", types.ModuleType("decoder.training"))
-    module = sys.modules["decoder.training"]
-    module.Settings, module.Training, module.TrainingError, module.Diverged = Settings, fake, TrainingError, Diverged
+    monkeypatch.setattr(decoder_training, "_device", lambda _: ("cpu", "1 CPU thread"))
     _, mark = sit(config(), tmp_path / "run")
     assert (mark.device, mark.precision, mark.step) == ("cpu", "fp32", 20)
     assert "note: device was cuda and is now cpu; precision was bf16 and is now fp32" in capsys.readouterr().err
@@ -419,8 +460,6 @@ def test_a_checkpoint_of_another_architecture_is_one_line(fake, tmp_path):
 
 
 def npy(array):
-    import io
-
     data = io.BytesIO()
     np.save(data, array)
     return data.getvalue()
@@ -468,6 +507,201 @@ def test_a_spoilt_curve_is_one_line(tmp_path, text):
     (tmp_path / "curve.csv").write_text(text)
     with pytest.raises(BadInput, match="remove it, and the curve goes on without its past"):
         read_curve(tmp_path / "curve.csv")
+
+
+# The whole command
+
+
+TINY = CONFIGS / "decoder_tiny.toml"
+
+
+class Codec:
+    """Gives the same body for every latent: as it was, or moved by one voxel if the first number says so."""
+
+    threshold = float("inf")
+    as_it_was: VoxelDesign
+    moved: VoxelDesign
+
+    def __init__(self, weights):
+        self.body = self.moved if weights.arrays["numbers"][0] > self.threshold else self.as_it_was
+
+    def encode(self, designs):
+        return np.zeros((len(designs), 512), np.float32)
+
+    def decode(self, latents):
+        return [self.body] * len(latents)
+
+
+@pytest.fixture
+def whole(fake, hinge, tmp_path, monkeypatch):
+    """Everything that is slow replaced, and an empty package to ship to."""
+    import decoder.weights
+    from experiments import decoder_card, decoder_result
+
+    def write_card(codec, weights, out, pictures, **options):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(f"{weights.sha256} {options['name']} {options['n']} {options['curve'] is not None}")
+        return decoder_result.measure(codec, 2, 2)
+
+    monkeypatch.setitem(sys.modules, "decoder.vae", module("decoder.vae", VaeDecoder=Codec))
+    drawn = module("decoder.synthetic", sample_designs=lambda n, _: [hinge] * n)
+    monkeypatch.setitem(sys.modules, "decoder.synthetic", drawn)
+    monkeypatch.setattr(decoder_result, "PAIRS", 0)  # interpolating is what takes longest
+    monkeypatch.setattr(decoder_result, "CURVE_PAIRS", 0)
+    monkeypatch.setattr("analysis.plots.training_curve", lambda *_: b"a picture")
+    monkeypatch.setattr(decoder_card, "write_card", write_card)
+    monkeypatch.setattr(decoder_card, "CARD", tmp_path / "package" / "MODEL_CARD.md")
+    monkeypatch.setattr(decoder_card, "PICTURES", tmp_path / "package" / "pictures")
+    monkeypatch.setattr(decoder.weights, "SHIPPED", tmp_path / "package" / "weights" / "vae.safetensors")
+    monkeypatch.setattr(decoder.weights, "DIGEST", tmp_path / "package" / "weights" / "vae.sha256")
+    moved = {name: np.roll(getattr(hinge, name), 1, 0) for name in ("material", "segment")}
+    monkeypatch.setattr(Codec, "as_it_was", hinge, raising=False)
+    monkeypatch.setattr(Codec, "moved", dataclasses.replace(hinge, **moved), raising=False)
+    monkeypatch.setattr(Codec, "threshold", float("inf"))
+    (tmp_path / "package").mkdir()
+    return tmp_path
+
+
+def test_a_training_leaves_weights_figures_and_a_curve(bodyplan, whole):
+    said = bodyplan("train-decoder", TINY, "--out", whole / "run", "--json")
+    assert said.status == 0, said.err
+    told = json.loads(said.out)
+    assert (told["finished"], told["step"], told["steps"], told["bodies"]) == (True, 6, 6, 12)
+    assert (told["device"], told["precision"], told["start"]) == ("cpu", "fp32", "scratch")
+    assert told["figures"]["body_iou"] == 1.0
+    assert {goal["name"]: goal["reached"] for goal in told["goals"]}["body IoU"]
+    found = load_weights(whole / "run" / "vae.safetensors")
+    assert found.sha256 == told["sha256"]
+    assert (found.about["bodies_seen"], found.about["steps"], found.about["started_from"]) == ("12", "6", "scratch")
+    assert json.loads((whole / "run" / "result.json").read_text())["figures"] == told["figures"]
+    assert [row["step"] for row in read_curve(whole / "run" / "curve.csv")] == [3, 6]
+    assert {"body_iou", "prior_one_tree", "joint_recall", "loss_kl"} <= set(read_curve(whole / "run" / "curve.csv")[0])
+    assert f"use them by --decoder {whole / 'run' / 'vae.safetensors'}" in said.err
+
+
+def test_sittings_of_the_command_add_up(bodyplan, whole):
+    one = json.loads(bodyplan("train-decoder", TINY, "--out", whole / "one", "--json").out)
+    words = ["train-decoder", TINY, "--out", whole / "cut", "--seconds", "1e-6"]
+    said = bodyplan(*words)
+    assert (said.status, said.out) == (3, "")
+    again = f"Go on with: bodyplan train-decoder {TINY} --out {whole / 'cut'} --resume --seconds 1e-06"
+    assert f"1e-06 s are over at step 1 of 6; everything is saved. {again}" in said.err
+    said = bodyplan(*words)
+    assert (said.status, said.err.count("\n")) == (2, 1)
+    assert "go on with it by --resume" in said.err
+    statuses = []
+    while not statuses or (statuses[-1] == 3 and len(statuses) < 10):
+        said = bodyplan(*words, "--resume", "--json")
+        statuses.append(said.status)
+        assert json.loads(said.out)["finished"] == (said.status == 0)
+    assert statuses == [3, 3, 3, 3, 3, 0]  # the last sitting only measures
+    assert json.loads(said.out)["figures"] == one["figures"]
+    a, b = (load_weights(whole / name / "vae.safetensors").arrays["numbers"] for name in ("one", "cut"))
+    assert a.tobytes() == b.tobytes()
+    before = (whole / "cut" / "result.json").stat().st_mtime_ns
+    assert bodyplan("train-decoder", TINY, "--out", whole / "cut", "--resume").status == 0
+    assert (whole / "cut" / "result.json").stat().st_mtime_ns == before
+
+
+def test_ctrl_c_in_the_closing_evaluation_can_be_resumed(bodyplan, whole, monkeypatch):
+    from experiments import decoder_result
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(decoder_result, "measure", interrupted)
+        said = bodyplan("train-decoder", TINY, "--out", whole / "run", "--ship")
+    assert said.status == 3
+    assert f"Go on with: bodyplan train-decoder {TINY} --out {whole / 'run'} --resume --ship" in said.err
+    said = bodyplan("train-decoder", TINY, "--out", whole / "run", "--resume", "--ship")
+    assert said.status == 0
+    assert "the package has the new weights: the package had none" in said.err
+
+
+def test_the_package_keeps_the_better_weights(bodyplan, whole, monkeypatch):
+    from decoder.weights import DIGEST, SHIPPED
+
+    def trained(name, *words, seed=0):
+        (whole / "c.toml").write_text(TINY.read_text().replace("[evaluation]", f"seed = {seed}\n\n[evaluation]"))
+        said = bodyplan("train-decoder", whole / "c.toml", "--out", whole / name, "--json", *words)
+        assert said.status == 0, said.err
+        return json.loads(said.out)
+
+    one, two = trained("one", seed=1), trained("two", seed=2)
+    assert not SHIPPED.exists()
+    first = {name: load_weights(whole / name / "vae.safetensors").arrays["numbers"][0] for name in ("one", "two")}
+    worse, best = sorted(first, key=lambda name: -first[name])
+    seeds = {"one": 1, "two": 2}
+    digests = {"one": one["sha256"], "two": two["sha256"]}
+    monkeypatch.setattr(Codec, "threshold", float(np.mean(list(first.values()))))
+    for name in first:
+        (whole / name / "result.json").unlink()  # it was of the codec before
+    assert trained(worse, "--resume", "--ship", seed=seeds[worse])["shipped"]["kept"] == "new"
+    assert load_weights(SHIPPED).sha256 == digests[worse]
+    told = trained(best, "--resume", "--ship", seed=seeds[best])["shipped"]
+    assert told["kept"] == "new"
+    assert "they differ most in" in told["why"]
+    assert load_weights(SHIPPED).sha256 == digests[best]
+    assert DIGEST.read_text() == f"{digests[best]}  vae.safetensors\n"
+    assert trained(worse, "--resume", "--ship", seed=seeds[worse])["shipped"]["kept"] == "old"
+    assert load_weights(SHIPPED).sha256 == digests[best]
+    told = trained(best, "--resume", "--ship", seed=seeds[best])["shipped"]
+    assert told["why"] == "the package has these very weights already"
+
+
+def test_a_training_goes_on_from_the_package_and_adds_up_what_was_seen(bodyplan, whole):
+    from decoder.weights import SHIPPED
+
+    text = TINY.read_text()
+    assert bodyplan("train-decoder", TINY, "--out", whole / "one", "--ship").status == 0
+    (whole / "more.toml").write_text(text.replace('start = "scratch"', 'start = "shipped"'))
+    said = bodyplan("train-decoder", whole / "more.toml", "--out", whole / "two", "--json")
+    assert said.status == 0, said.err
+    shipped = load_weights(SHIPPED)
+    assert json.loads(said.out)["start"] == shipped.sha256
+    about = load_weights(whole / "two" / "vae.safetensors").about
+    assert (about["bodies_seen"], about["steps"]) == ("24", "12")
+    assert about["started_from"] == f"weights {shipped.sha256[:16]}"
+    SHIPPED.write_bytes(SHIPPED.read_bytes()[:-7])
+    said = bodyplan("train-decoder", whole / "more.toml", "--out", whole / "three")
+    assert (said.status, said.err.count("\n")) == (2, 1)
+    assert str(SHIPPED) in said.err
+    assert not (whole / "three" / "config.toml").exists()
+
+
+def test_without_weights_to_go_on_from_it_starts_from_scratch_and_says_so(bodyplan, whole):
+    (whole / "c.toml").write_text(TINY.read_text().replace('start = "scratch"\n', ""))
+    said = bodyplan("train-decoder", whole / "c.toml", "--out", whole / "run", "--json")
+    assert said.status == 0
+    assert "is not there to go on from, so this training starts from scratch" in said.err
+    assert json.loads(said.out)["start"] == "scratch"
+
+
+def test_the_card_lies_with_its_weights(bodyplan, whole):
+    said = bodyplan("train-decoder", "--evaluate")
+    assert (said.status, said.err.count("\n")) == (2, 1)
+    assert "vae.safetensors is missing" in said.err
+    said = bodyplan("train-decoder", TINY, "--out", whole / "run", "--evaluate", "--json")
+    assert said.status == 0, said.err
+    digest, card = json.loads(said.out)["sha256"], whole / "run" / "MODEL_CARD.md"
+    assert json.loads(said.out)["card"] == str(card)
+    assert card.read_text() == f"{digest} {whole / 'run' / 'vae.safetensors'} 2 True"
+    said = bodyplan("train-decoder", "--evaluate", "--weights", whole / "run" / "vae.safetensors", "--out", whole / "x")
+    assert said.status == 0, said.err
+    assert (whole / "x" / "MODEL_CARD.md").read_text().endswith("500 False")
+    said = bodyplan("train-decoder", TINY, "--out", whole / "run", "--resume", "--ship", "--evaluate")
+    assert said.status == 0, said.err
+    assert (whole / "package" / "MODEL_CARD.md").read_text() == f"{digest} vae 2 True"
+    assert bodyplan("train-decoder", "--evaluate", "--json").status == 0
+    assert (whole / "package" / "MODEL_CARD.md").read_text() == f"{digest} vae 500 False"
+
+
+def test_foreign_weights_are_one_line(bodyplan, whole):
+    (whole / "x.safetensors").write_bytes(b"not weights")
+    said = bodyplan("train-decoder", "--evaluate", "--weights", whole / "x.safetensors")
+    assert (said.status, said.err.count("\n")) == (2, 1)
+    assert "not a readable safetensors file" in said.err
 
 
 def test_the_top_of_the_command_loads_no_torch():
