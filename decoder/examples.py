@@ -130,7 +130,7 @@ def _depth(bodies: Bodies) -> Tensor:
 
 
 def _measured(bodies: Bodies, points: Tensor, near: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Distances (n, 8, m) of points (n, 8, m, 3) to their own part's bone and skin, and to where a linked bone is nearer.
+    """Distances (n, 8, m) of points (n, 8, m, 3) to their own bone and skin, and to where a linked bone is nearer.
 
     The last is about a signed distance, positive where the voxel belongs to a neighbour; it is measured at the `near`
     points nearest to each hinge and -1000 elsewhere.
@@ -145,10 +145,11 @@ def _measured(bodies: Bodies, points: Tensor, near: int) -> tuple[Tensor, Tensor
     for own, other in ((part, carrier), (carrier, part)):
         hinge = bodies.position[part][:, None]
         close = (points[own] - hinge).square().sum(2).topk(near, dim=1, largest=False).indices
-        rival = torch.cat([
-            field(bodies.pick(*(i[rows] for i in other)), points[own][rows].gather(1, close[rows, :, None].expand(-1, -1, 3)))[0]
-            for rows in torch.arange(len(close), device=close.device).split(4 * CHUNK)
-        ])  # fmt: skip
+        rivals = []
+        for rows in torch.arange(len(close), device=close.device).split(4 * CHUNK):
+            at = points[own][rows].gather(1, close[rows, :, None].expand(-1, -1, 3))
+            rivals.append(field(bodies.pick(*(i[rows] for i in other)), at)[0])
+        rival = torch.cat(rivals)
         edge = torch.full((len(close), points.shape[2]), -FAR, device=points.device)
         edge.scatter_(1, close, 0.6 * (bone[own].gather(1, close) - rival))
         flat = owned.view(-1, owned.shape[2])

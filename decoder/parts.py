@@ -19,7 +19,7 @@ NODES = LATTICE[0] * LATTICE[1] * LATTICE[2]
 TRUNCATION = 4.0  # of the signed distances in the lattices [voxels]
 BOX_SPREAD, BOX_ROOM = 2.2, 5.5  # half side of the box = 2.2 standard deviations of the bone + 5.5 voxels
 SHARPNESS = 1.98  # per voxel: 1 / (1 + exp(1.98 d)) is the smoothed occupancy at signed distance d
-SMOOTHING = 0.75  # variance that the same smoothing adds to a shape [voxel^2]
+SMOOTHING = 1.3  # variance that the same smoothing adds to a shape [voxel^2]
 MIDDLE = 32.0  # of the grid [voxels]
 REACH = 16.0  # scale of the torso's offset from there [voxels]
 

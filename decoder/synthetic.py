@@ -7,8 +7,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from decoder.compose import Window, centres, compose, window_of
+from decoder.design import DEFAULT_PITCH, Joint, VoxelDesign
 from decoder.trees import MAX_PARTS, all_trees
 
 GRID_MIDDLE = 32.0
@@ -70,7 +73,6 @@ class Bodies:
         moved = {f.name: _gather(getattr(self, f.name), index) for f in fields(self)}
         moved["parent"] = torch.gather(places, 1, moved["parent"])
         return Bodies(**moved)
-
 
     def pick(self, *index: Tensor) -> Bodies:
         """Some parts by a mask or by indices; their parents are no longer meant."""
@@ -378,3 +380,35 @@ def generator(seed: int, index: int, device: str = "cpu") -> torch.Generator:
     rng = torch.Generator(device)
     rng.manual_seed(int(np.random.SeedSequence([seed, index]).generate_state(1, np.uint64)[0] >> 1))
     return rng
+
+
+def sample_designs(n: int, seed: int) -> list[VoxelDesign]:
+    """Draw n voxel designs; number k depends on the seed and on k only."""
+    return [_design(sample_bodies(1, generator(seed, k))) for k in range(n)]
+
+
+def _design(bodies: Bodies) -> VoxelDesign:
+    count = int(bodies.alive[0].sum())
+    wide = torch.cat([(bodies.half[..., :2] * bodies.taper.clamp(min=1.0)[..., None]), bodies.half[..., 2:]], 2)
+    reach = torch.einsum("nkij,nkj->nki", bodies.frame.abs(), wide) + (bodies.thickness + 2 * LIMIT + 1)[..., None]
+    end = bodies.start + bodies.length[..., None] * bodies.frame[..., 2]
+    low, high = torch.minimum(bodies.start, end) - reach, torch.maximum(bodies.start, end) + reach
+    windows = []
+    for k in range(count):
+        first, size = window_of(low[0, k].numpy(), high[0, k].numpy())
+        points = torch.from_numpy(centres(first, size).reshape(-1, 3))
+        bone, skin = field(bodies.pick(torch.tensor([0]), torch.tensor([k])), points[None])
+        windows.append(Window(first, bone[0].numpy().reshape(size), skin[0].numpy().reshape(size)))
+    parent = bodies.parent[0].tolist()
+    material, segment, depth = compose(windows, {(min(parent[k], k), max(parent[k], k)) for k in range(1, count)})
+    joints = [
+        Joint(bodies.position[0, k].double().numpy() * DEFAULT_PITCH, _unit(bodies.axis[0, k]),
+              bodies.range[0, k].double().numpy(), parent[k] + 1, k + 1)
+        for k in range(1, count)
+    ]  # fmt: skip
+    return VoxelDesign(material, segment, DEFAULT_PITCH, tuple(joints), depth)
+
+
+def _unit(vector: Tensor) -> NDArray[np.float64]:
+    exact = vector.double().numpy()
+    return np.asarray(exact / np.linalg.norm(exact))

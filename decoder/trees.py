@@ -21,7 +21,8 @@ _FORKED = 0.8  # how often a tree with a fork is drawn, relative to one without
 @dataclass(frozen=True)
 class Limb:
     """Shape of one limb: `parents[i]` is the part before part i (-1: the torso), `sides[i]` the branch of a fork it
-    is on (+1, -1, or 0 for none), `twins[i]` the part it mirrors if the limb itself lies in the mirror plane."""
+    is on (+1, -1, or 0 for none), `twins[i]` the part it mirrors if the limb itself lies in the mirror plane.
+    """
 
     parents: tuple[int, ...]
     sides: tuple[int, ...]

@@ -1,0 +1,120 @@
+"""The learned encoder and decoder as plain functions of named arrays: numpy where they are used, torch where trained.
+
+A body is eight tokens, one per part, through a few transformer layers to 512 numbers and back. `xp` is the module that
+made the arrays, numpy or torch; nothing here imports either network library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decoder.genome import LATENT_DIM
+from decoder.parts import MAX_PARTS, NODES, POSE
+
+WIDTH, HEADS, HIDDEN = 256, 8, 768
+ENCODER_LAYERS, DECODER_LAYERS = 3, 4
+SEEN = 1 + MAX_PARTS + POSE + 3  # existence, carrier, pose, centre in the grid
+SAID = 1 + MAX_PARTS + POSE  # existence, carrier, pose
+LATTICES = 2 * NODES
+_EPSILON = 1e-5
+Arrays = Mapping[str, Any]
+
+
+def shapes(about: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
+    """Shape of every array of the network by its name.
+
+    Raises:
+        ValueError: if the weights say that they are for another architecture.
+    """
+    if about.get("architecture", ARCHITECTURE) != ARCHITECTURE:
+        raise ValueError(f"architecture is {about['architecture'][:40]!r}, this program has {ARCHITECTURE!r}")
+    table: dict[str, tuple[int, ...]] = {
+        "seen.lattices": (LATTICES, WIDTH), "seen.pose": (SEEN, WIDTH), "seen.place": (MAX_PARTS, WIDTH),
+        "latent.in": (MAX_PARTS * WIDTH, 2 * LATENT_DIM), "latent.in_bias": (2 * LATENT_DIM,),
+        "latent.in_gain": (WIDTH,),
+        "latent.out": (LATENT_DIM, MAX_PARTS * WIDTH), "said.place": (MAX_PARTS, WIDTH), "said.gain": (WIDTH,),
+        "said.pose": (WIDTH, SAID), "said.pose_bias": (MAX_PARTS, SAID),
+        "said.lattices": (WIDTH, LATTICES), "said.lattices_bias": (MAX_PARTS, LATTICES),
+        "prior.mean": (LATENT_DIM,), "prior.spread": (LATENT_DIM, LATENT_DIM), "prior.whiten": (LATENT_DIM, LATENT_DIM),
+    }  # fmt: skip
+    for stack, layers in (("encoder", ENCODER_LAYERS), ("decoder", DECODER_LAYERS)):
+        for i in range(layers):
+            table |= {
+                f"{stack}.{i}.gain1": (WIDTH,), f"{stack}.{i}.qkv": (WIDTH, 3 * WIDTH),
+                f"{stack}.{i}.mix": (WIDTH, WIDTH), f"{stack}.{i}.gain2": (WIDTH,),
+                f"{stack}.{i}.up": (WIDTH, HIDDEN), f"{stack}.{i}.up_bias": (HIDDEN,),
+                f"{stack}.{i}.down": (HIDDEN, WIDTH),
+            }  # fmt: skip
+    return table
+
+
+ARCHITECTURE = "part tokens 1"
+
+
+def initial(rng: np.random.Generator) -> dict[str, NDArray[np.float32]]:
+    """Untrained weights."""
+    arrays = {}
+    depth = 2.0 * (ENCODER_LAYERS + DECODER_LAYERS)
+    for name, shape in shapes({}).items():
+        kind = name.rsplit(".", 1)[1]
+        if kind.startswith("gain") or kind == "in_gain":
+            value = np.ones(shape)
+        elif "bias" in kind or name == "prior.mean":
+            value = np.zeros(shape)
+        elif name.startswith("prior"):
+            value = np.eye(LATENT_DIM)
+        elif kind == "place":
+            value = 0.3 * rng.standard_normal(shape)
+        else:
+            value = rng.standard_normal(shape) / np.sqrt(shape[0])
+            if kind in ("mix", "down"):
+                value /= np.sqrt(depth)
+            if name in ("said.pose", "said.lattices"):
+                value *= 0.3
+        arrays[name] = value.astype(np.float32)
+    arrays["latent.in"][:, LATENT_DIM:] *= 0.1  # Posterior widths start alike,
+    arrays["latent.in_bias"][LATENT_DIM:] = -3.0  # and narrow.
+    return arrays
+
+
+def encode(w: Arrays, lattices: Any, pose: Any, xp: ModuleType) -> tuple[Any, Any]:
+    """Mean and log variance (n, 512) of the raw latent of parts seen as (n, 8, 4608) and (n, 8, SEEN)."""
+    tokens = lattices @ w["seen.lattices"] + pose @ w["seen.pose"] + w["seen.place"]
+    for i in range(ENCODER_LAYERS):
+        tokens = _layer(w, f"encoder.{i}.", tokens, xp)
+    tokens = _scaled(tokens, w["latent.in_gain"]).reshape(len(tokens), MAX_PARTS * WIDTH)
+    both = tokens @ w["latent.in"] + w["latent.in_bias"]
+    return both[:, :LATENT_DIM], both[:, LATENT_DIM:].clip(-12.0, 2.0)
+
+
+def decode(w: Arrays, latent: Any, xp: ModuleType) -> tuple[Any, Any]:
+    """What raw latents (n, 512) say of parts: (n, 8, SAID) and distances over the truncation (n, 8, 4608)."""
+    tokens = (latent @ w["latent.out"]).reshape(len(latent), MAX_PARTS, WIDTH) + w["said.place"]
+    for i in range(DECODER_LAYERS):
+        tokens = _layer(w, f"decoder.{i}.", tokens, xp)
+    tokens = _scaled(tokens, w["said.gain"])
+    return tokens @ w["said.pose"] + w["said.pose_bias"], tokens @ w["said.lattices"] + w["said.lattices_bias"]
+
+
+def _layer(w: Arrays, name: str, x: Any, xp: ModuleType) -> Any:
+    """Attention among the eight tokens, then a perceptron on each; both added to what came in."""
+    n = len(x)
+    size = WIDTH // HEADS
+    qkv = (_scaled(x, w[name + "gain1"]) @ w[name + "qkv"]).reshape(n, MAX_PARTS, 3, HEADS, size)
+    q, k, v = (xp.swapaxes(qkv[:, :, i], 1, 2) for i in range(3))
+    # Unit length keeps the scores within a range that the exponential bears without further care.
+    scores = xp.exp(_scaled(q, 1.0) @ xp.swapaxes(_scaled(k, 1.0), 2, 3) * size**-0.5)
+    mixed = (scores / scores.sum(-1)[..., None]) @ v
+    x = x + xp.swapaxes(mixed, 1, 2).reshape(n, MAX_PARTS, WIDTH) @ w[name + "mix"]
+    hidden = (_scaled(x, w[name + "gain2"]) @ w[name + "up"] + w[name + "up_bias"]).clip(0.0)
+    return x + hidden @ w[name + "down"]
+
+
+def _scaled(x: Any, gain: Any) -> Any:
+    """Root mean square 1 along the last axis, times the gain."""
+    return x * ((x * x).mean(-1)[..., None] + _EPSILON) ** -0.5 * gain
