@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bodies import ellipsoid, painted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bodies import ellipsoid, painted
 from decoder.genome import LATENT_DIM, GenomeDecoder
 from decoder.networks import initial
 from decoder.vae import VaeDecoder
