@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from decoder.parts import (
     MAX_PARTS,
@@ -91,6 +92,15 @@ def examples(bodies: Bodies) -> Examples:
     lattice = torch.stack([bone, skin], 2).clamp(-TRUNCATION, TRUNCATION)
     mask = alive[..., None, None]
     return Examples(alive, torch.where(alive, carrier, 0), centre, pose, occupancy * mask, lattice * mask)
+
+
+def seen(batch: Examples) -> tuple[Tensor, Tensor]:
+    """What the encoder sees of a batch: (n, 8, 4608) and (n, 8, SEEN)."""
+    carrier = functional.one_hot(batch.parent, MAX_PARTS).float()
+    centre = (batch.centre - MIDDLE) / REACH
+    alive = batch.alive[..., None].float()
+    pose = torch.cat([alive, carrier * alive, batch.pose, centre * alive], 2)
+    return batch.occupancy.flatten(2) - 0.2 * alive, pose
 
 
 def _frames(direction: Tensor) -> Tensor:

@@ -36,8 +36,7 @@ def shapes(about: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
     table: dict[str, tuple[int, ...]] = {
         "seen.lattices": (LATTICES, WIDTH), "seen.pose": (SEEN, WIDTH), "seen.place": (MAX_PARTS, WIDTH),
         "latent.in": (MAX_PARTS * WIDTH, 2 * LATENT_DIM), "latent.in_bias": (2 * LATENT_DIM,),
-        "latent.in_gain": (WIDTH,),
-        "latent.out": (LATENT_DIM, MAX_PARTS * WIDTH), "said.place": (MAX_PARTS, WIDTH), "said.gain": (WIDTH,),
+        "latent.out": (LATENT_DIM, MAX_PARTS * WIDTH), "said.place": (MAX_PARTS, WIDTH),
         "said.pose": (WIDTH, SAID), "said.pose_bias": (MAX_PARTS, SAID),
         "said.lattices": (WIDTH, LATTICES), "said.lattices_bias": (MAX_PARTS, LATTICES),
         "prior.mean": (LATENT_DIM,), "prior.spread": (LATENT_DIM, LATENT_DIM), "prior.whiten": (LATENT_DIM, LATENT_DIM),
@@ -62,7 +61,7 @@ def initial(rng: np.random.Generator) -> dict[str, NDArray[np.float32]]:
     depth = 2.0 * (ENCODER_LAYERS + DECODER_LAYERS)
     for name, shape in shapes({}).items():
         kind = name.rsplit(".", 1)[1]
-        if kind.startswith("gain") or kind == "in_gain":
+        if kind.startswith("gain"):
             value = np.ones(shape)
         elif "bias" in kind or name == "prior.mean":
             value = np.zeros(shape)
@@ -87,8 +86,7 @@ def encode(w: Arrays, lattices: Any, pose: Any, xp: ModuleType) -> tuple[Any, An
     tokens = lattices @ w["seen.lattices"] + pose @ w["seen.pose"] + w["seen.place"]
     for i in range(ENCODER_LAYERS):
         tokens = _layer(w, f"encoder.{i}.", tokens, xp)
-    tokens = _scaled(tokens, w["latent.in_gain"]).reshape(len(tokens), MAX_PARTS * WIDTH)
-    both = tokens @ w["latent.in"] + w["latent.in_bias"]
+    both = tokens.reshape(len(tokens), MAX_PARTS * WIDTH) @ w["latent.in"] + w["latent.in_bias"]
     return both[:, :LATENT_DIM], both[:, LATENT_DIM:].clip(-12.0, 2.0)
 
 
@@ -97,7 +95,6 @@ def decode(w: Arrays, latent: Any, xp: ModuleType) -> tuple[Any, Any]:
     tokens = (latent @ w["latent.out"]).reshape(len(latent), MAX_PARTS, WIDTH) + w["said.place"]
     for i in range(DECODER_LAYERS):
         tokens = _layer(w, f"decoder.{i}.", tokens, xp)
-    tokens = _scaled(tokens, w["said.gain"])
     return tokens @ w["said.pose"] + w["said.pose_bias"], tokens @ w["said.lattices"] + w["said.lattices_bias"]
 
 

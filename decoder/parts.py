@@ -31,6 +31,11 @@ SPREAD = slice(7, 10)  # log of the bone's standard deviation along the part's a
 TENSOR = slice(10, 16)  # hinge axis a in the part's frame as a a^T: xx, yy, zz, xy, xz, yz
 RANGE = slice(16, 18)  # least and greatest angle [rad]
 POSE = 18
+# Tolerances: a deviation of so much costs half a nat. Their ratio to a body's spread is the information a latent holds.
+TOLERANCES = (
+    ("attach", ATTACH, 0.03), ("direction", DIRECTION, 0.03), ("distance", DISTANCE, 0.03), ("spread", SPREAD, 0.03),
+    ("axis", TENSOR, 0.06), ("range", RANGE, 0.08),
+)  # fmt: skip
 _AZIMUTH_CUT = -7 * math.pi / 8  # siblings are numbered by azimuth from here
 
 

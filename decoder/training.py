@@ -15,17 +15,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from decoder import networks
-from decoder.examples import Examples, examples
+from decoder.examples import Examples, examples, seen
 from decoder.genome import LATENT_DIM
-from decoder.parts import ATTACH, DIRECTION, DISTANCE, MAX_PARTS, MIDDLE, POSE, RANGE, REACH, SPREAD, TENSOR, TRUNCATION
+from decoder.linear_start import linear_start
+from decoder.parts import MAX_PARTS, POSE, TOLERANCES, TRUNCATION
 from decoder.synthetic import generator, sample_bodies
 from decoder.weights import Weights
 
-# Tolerances: a deviation of so much costs half a nat. Their ratio to a body's spread is the information a latent holds.
-_TOLERANCES = (
-    ("attach", ATTACH, 0.03), ("direction", DIRECTION, 0.03), ("distance", DISTANCE, 0.03), ("spread", SPREAD, 0.03),
-    ("axis", TENSOR, 0.06), ("range", RANGE, 0.08),
-)  # fmt: skip
 _LATTICE_TOLERANCE = 0.30  # of a signed distance [voxels],
 _LATTICE_WORTH = 60.0  # as if so many nodes of a lattice were independent
 _CHOICE_WORTH = 5.0  # of existence and of the carrier, in nats per nat
@@ -56,6 +52,7 @@ class Settings:
         precision: "fp32" or "bf16" for the products of matrices.
         device: "cpu" or "cuda".
         threads: on the CPU; 0 leaves it to torch.
+        start_bodies: that a training from scratch takes its linear start from, 256 or more; 0 begins with noise.
     """
 
     seed: int = 0
@@ -67,6 +64,7 @@ class Settings:
     precision: str = "fp32"
     device: str = "cpu"
     threads: int = 0
+    start_bodies: int = 2048
 
 
 class Training:
@@ -92,8 +90,12 @@ class Training:
     def start(cls, settings: Settings, weights: Weights | None) -> Training:
         """Begin from scratch, or go on from weights."""
         if weights is None:
-            arrays = networks.initial(np.random.default_rng(settings.seed))
-            arrays["said.pose_bias"], arrays["said.lattices_bias"] = _average(settings.seed)
+            with torch.no_grad():
+                arrays = (
+                    linear_start(settings.seed, settings.start_bodies)
+                    if settings.start_bodies
+                    else networks.initial(np.random.default_rng(settings.seed))
+                )
         else:
             arrays = {name: np.array(a) for name, a in weights.arrays.items()}
         return cls(settings, {n: torch.tensor(a) for n, a in arrays.items() if not n.startswith("prior.")})
@@ -139,8 +141,9 @@ class Training:
         return s.learning_rate * rise * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * done)))
 
     def _pressure(self) -> float:
-        """Weight of the divergence from the prior: rises from 0.05 to 1 over the first fifth of the steps."""
-        return min(1.0, 0.05 + 0.95 * self.step / max(1.0, 0.2 * self.settings.steps))
+        """Weight of the divergence from the prior: 0.05 at first, 1 from half of the steps on."""
+        done = self.step / max(1, self.settings.steps)
+        return float(0.05 ** max(0.0, 1.0 - 2.0 * done))
 
     def _batch(self) -> Examples:
         """The bodies of this step; those of the next are drawn meanwhile."""
@@ -224,15 +227,6 @@ def _read(path: Path) -> dict[str, Any]:
     return dict(state)
 
 
-def seen(batch: Examples) -> tuple[Tensor, Tensor]:
-    """What the encoder sees of a batch: (n, 8, 4608) and (n, 8, SEEN)."""
-    carrier = functional.one_hot(batch.parent, MAX_PARTS).float()
-    centre = (batch.centre - MIDDLE) / REACH
-    alive = batch.alive[..., None].float()
-    pose = torch.cat([alive, carrier * alive, batch.pose, centre * alive], 2)
-    return batch.occupancy.flatten(2) - 0.2 * alive, pose
-
-
 def losses(w: dict[str, Tensor], batch: Examples, noise: Tensor, pressure: float) -> dict[str, Tensor]:
     """Negative evidence bound of a batch and its terms, nats per body."""
     lattices, pose = seen(batch)
@@ -248,7 +242,7 @@ def losses(w: dict[str, Tensor], batch: Examples, noise: Tensor, pressure: float
     carrier = (guess[:, 1:] * alive[:, 1:]).sum() / n
     terms = {"existence": _CHOICE_WORTH * existence, "carrier": _CHOICE_WORTH * carrier}
     wrong = (said[..., -POSE:] - batch.pose) * alive[..., None]
-    for name, part, tolerance in _TOLERANCES:
+    for name, part, tolerance in TOLERANCES:
         terms[name] = _cost(wrong[..., part] / tolerance).sum() / n
     truth = batch.distance.flatten(2)
     near = torch.where(truth.abs() < 2.0, 1.0, 0.15)
@@ -258,17 +252,6 @@ def losses(w: dict[str, Tensor], batch: Examples, noise: Tensor, pressure: float
     terms["divergence"] = divergence
     loss: Tensor = sum(value for name, value in terms.items() if name != "divergence") + pressure * divergence
     return terms | {"loss": loss}
-
-
-def _average(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What the decoder should say of each place if it knew nothing: means over bodies that have that part."""
-    batch = examples(sample_bodies(256, generator(seed, 2**42)))
-    alive = batch.alive[..., None].float()
-    count = alive.sum(0).clamp(min=1)
-    pose = (batch.pose * alive).sum(0) / count
-    said = torch.cat([torch.zeros(MAX_PARTS, 1 + MAX_PARTS), pose], 1)
-    distance = (batch.distance.flatten(2) * alive).sum(0) / count / TRUNCATION
-    return said.numpy(), distance.numpy()
 
 
 def _cost(x: Tensor) -> Tensor:

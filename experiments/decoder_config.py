@@ -42,6 +42,7 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
         learning_rate: the greatest.
         warmup: steps over which the learning rate rises.
         ema: decay per step of the running mean of the weights, which is what is kept.
+        start_bodies: that a training from scratch takes its linear start from; 0 begins with noise.
         device: where; "auto" takes a GPU if there is one.
         precision: of the sums; "auto" is bf16 on a GPU, if it agrees with fp32 on one batch, and fp32 elsewhere.
         threads: on the CPU; 0 is one per core.
@@ -59,6 +60,7 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
     learning_rate: Annotated[float, Meta(gt=0.0, le=1.0)] = 5e-4
     warmup: Annotated[int, Meta(ge=0, le=1_000_000)] = 200
     ema: Annotated[float, Meta(ge=0.0, le=0.999999)] = 0.999
+    start_bodies: Annotated[int, Meta(ge=0, le=100_000)] = 2048
     device: Literal["auto", "cpu", "cuda"] = "auto"
     precision: Literal["auto", "fp32", "bf16"] = "auto"
     threads: Workers = 0

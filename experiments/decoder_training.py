@@ -283,6 +283,7 @@ def _settings(config: TrainDecoder, device: str, precision: str, threads: int) -
         learning_rate=config.learning_rate,
         warmup=config.warmup,
         ema=config.ema,
+        start_bodies=config.start_bodies,
         precision=precision,
         device=device,
         threads=threads,

@@ -32,6 +32,7 @@ DOORS: dict[str, set[str]] = {
     "tqdm": {"experiments/output.py"},
     "torch": {
         "decoder/examples.py",
+        "decoder/linear_start.py",
         "decoder/synthetic.py",
         "decoder/training.py",
         "experiments/decoder_training.py",

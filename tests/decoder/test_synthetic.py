@@ -9,12 +9,11 @@ import pytest
 import torch
 
 from decoder.design import Material
-from decoder.examples import examples
+from decoder.examples import examples, seen
 from decoder.features import features
 from decoder.kinematics import is_one_tree, tree_shape
 from decoder.networks import encode, initial
 from decoder.synthetic import Bodies, field, generator, sample_bodies, sample_designs
-from decoder.training import seen
 from decoder.trees import all_trees
 
 

@@ -45,6 +45,7 @@ class Settings:
     precision: str
     device: str
     threads: int
+    start_bodies: int
 
 
 class TrainingError(ValueError):
