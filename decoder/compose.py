@@ -14,6 +14,7 @@ from decoder.rasterise import COAT, FAR, MARGIN, Floats, smooth_min
 
 BLEND = 2.0  # width over which linked bones melt together [voxels]
 GAP = 2.5  # width of the cleft between the skins of parts without a common joint [voxels]
+BONE_GAP = 1.5  # and between their bones
 _SLIVER = 0.3  # pieces of a bone smaller than this share of its largest are dropped
 
 
@@ -51,15 +52,15 @@ def compose(
     """Material, segment and depth of a body, as in `VoxelDesign`; part i becomes segment i + 1.
 
     A voxel is rigid inside the union of the bones, melted together at joints, and belongs to the nearest bone; it is
-    soft inside a skin, but not in the cleft between the skins of parts that share no joint. Every bone is coated by
-    0.7 voxels, and of every bone the largest piece is kept.
+    soft inside a skin. Between parts that share no joint there is a cleft, in their skins and in their bones. Every
+    bone is coated by 0.7 voxels, and of every bone the largest piece is kept.
 
     Args:
         windows: one per part.
         linked: pairs (i, j) that share a joint, i < j.
     """
     full = (GRID, GRID, GRID)
-    bone, skin, melted, slit = (np.full(full, FAR, np.float32) for _ in range(4))
+    bone, skin, crack, slit = (np.full(full, FAR, np.float32) for _ in range(4))
     owner, holder = np.zeros(full, np.int16), np.zeros(full, np.int16)
     places = [tuple(slice(int(f), int(f + c)) for f, c in zip(w.low, w.bone.shape, strict=True)) for w in windows]
     skins = [np.minimum(w.skin, w.bone - np.float32(COAT)) for w in windows]
@@ -70,7 +71,7 @@ def compose(
         closer = skins[index] < skin[place]
         skin[place] = np.where(closer, skins[index], skin[place])
         holder[place] = np.where(closer, index + 1, holder[place])
-    melted[:] = bone
+    melted = bone.copy()
     for i in range(len(windows)):
         for j in range(i + 1, len(windows)):
             start = np.maximum(windows[i].low, windows[j].low)
@@ -85,9 +86,12 @@ def compose(
                     melted[region], smooth_min(windows[i].bone[mine], windows[j].bone[other], BLEND)
                 )
             else:
-                a, b = skins[i][mine], skins[j][other]
-                beyond = np.where(np.minimum(a, b) <= skin[region], (np.abs(a - b) - np.float32(GAP)) / 2, FAR)
-                slit[region] = np.minimum(slit[region], beyond)
+                for cleft, of, nearest, gap in ((crack, [w.bone for w in windows], bone, BONE_GAP),
+                                                (slit, skins, skin, GAP)):  # fmt: skip
+                    a, b = of[i][mine], of[j][other]
+                    beyond = np.where(np.minimum(a, b) <= nearest[region], (np.abs(a - b) - np.float32(gap)) / 2, FAR)
+                    cleft[region] = np.minimum(cleft[region], beyond)
+    melted = np.maximum(melted, -crack)
     rigid = melted < 0
     dropped = _slivers(rigid, owner, places)
     rigid &= ~dropped

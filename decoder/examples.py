@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from decoder.formulas import Bodies, bone_and_skin, bone_only
 from decoder.parts import (
     MAX_PARTS,
     MIDDLE,
@@ -22,25 +23,24 @@ from decoder.parts import (
     tensor_of,
     torso_frame,
 )
-from decoder.synthetic import Bodies, field
 
 PASS = (8, 8, 12)  # nodes of the first, coarse look at a bone
 FAR = 1e3
 NEAR = 400  # nodes around a hinge where the neighbour's claim is measured
-CHUNK = 16  # parts measured at once: their arrays stay in the processor's cache
+CHUNK = 32  # parts measured at once on a CPU: their arrays stay in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """A batch of n bodies, parts in canonical order.
+    """A batch of n bodies of p parts together, parts in canonical order. Lattices are those of existing parts only.
 
     Attributes:
         alive: which parts exist, (n, 8).
         parent: index of the carrying part, (n, 8); 0 for the torso and for unused parts.
         centre: centre of each bone in the grid [voxels], (n, 8, 3).
         pose: see `decoder.parts`, (n, 8, 18); 0 for unused parts.
-        occupancy: smoothed bone and body as a voxel design shows them, (n, 8, 2, 2304); what the encoder sees.
-        distance: truncated signed distances of the part's own bone and skin [voxels], (n, 8, 2, 2304).
+        occupancy: smoothed bone and body as a voxel design shows them, (p, 2, 2304); what the encoder sees.
+        distance: truncated signed distances of the part's own bone and skin [voxels], (p, 2, 2304).
     """
 
     alive: Tensor
@@ -65,6 +65,7 @@ def examples(bodies: Bodies) -> Examples:
     key[:, 0] = -1.0
     order = torch.argsort(key, dim=1, stable=True)
     bodies = bodies.take(order)
+    alive = bodies.alive
     rows = torch.arange(n, device=device)[:, None]
     spread, centre = spread[rows, order], centre[rows, order]
     offset = centre - bodies.position
@@ -73,11 +74,11 @@ def examples(bodies: Bodies) -> Examples:
     frame = _frames(direction)
     spread = _projected(spread, frame)
     box = box_of(spread)
-    nodes = torch.tensor(lattice_points(), device=device)
-    points = centre[:, :, None] + (box[:, :, None] * nodes) @ frame.transpose(2, 3)
-    bone, skin, owned = _measured(bodies, points, NEAR)
+    parts = _Parts(bodies)
+    nodes = torch.tensor(lattice_points(), device=device).T
+    bone, skin, owned = parts.measured(centre[alive], frame[alive] * box[alive][:, None], nodes, NEAR)
     occupancy = torch.stack([torch.sigmoid(-SHARPNESS * torch.maximum(bone, owned)),
-                             torch.sigmoid(-SHARPNESS * torch.maximum(skin, owned))], 2)  # fmt: skip
+                             torch.sigmoid(-SHARPNESS * torch.maximum(skin, owned))], 1)  # fmt: skip
     carrier = bodies.parent
     carried = torch.einsum("nkji,nkj->nki", frame[rows, carrier], bodies.position - centre[rows, carrier])
     attach = carried / box[rows, carrier]
@@ -87,20 +88,18 @@ def examples(bodies: Bodies) -> Examples:
     pose[:, 0] = 0.0
     pose[:, 0, :3] = (centre[:, 0] - MIDDLE) / REACH
     pose[:, 0, 7:10] = (spread[:, 0] / 3.0).log()
-    alive = bodies.alive
     pose = pose * alive[..., None]
-    lattice = torch.stack([bone, skin], 2).clamp(-TRUNCATION, TRUNCATION)
-    mask = alive[..., None, None]
-    return Examples(alive, torch.where(alive, carrier, 0), centre, pose, occupancy * mask, lattice * mask)
+    lattice = torch.stack([bone, skin], 1).clamp_(-TRUNCATION, TRUNCATION)
+    return Examples(alive, torch.where(alive, carrier, 0), centre, pose, occupancy, lattice)
 
 
-def seen(batch: Examples) -> tuple[Tensor, Tensor]:
-    """What the encoder sees of a batch: (n, 8, 4608) and (n, 8, SEEN)."""
+def seen(batch: Examples) -> tuple[Tensor, Tensor, Tensor]:
+    """What the encoder sees of a batch: which parts exist (n, 8), their lattices (p, 4608), and (n, 8, SEEN)."""
     carrier = functional.one_hot(batch.parent, MAX_PARTS).float()
     centre = (batch.centre - MIDDLE) / REACH
     alive = batch.alive[..., None].float()
     pose = torch.cat([alive, carrier * alive, batch.pose, centre * alive], 2)
-    return batch.occupancy.flatten(2) - 0.2 * alive, pose
+    return batch.alive, batch.occupancy.flatten(1) - 0.2, pose
 
 
 def _frames(direction: Tensor) -> Tensor:
@@ -112,18 +111,23 @@ def _frames(direction: Tensor) -> Tensor:
 def _moments(bodies: Bodies) -> tuple[Tensor, Tensor]:
     """Covariance (n, 8, 3, 3) and centre (n, 8, 3) of every bone as far as it is its own, by a coarse sum."""
     axes = [torch.linspace(-1 + 1 / m, 1 - 1 / m, m, device=bodies.alive.device) for m in PASS]
-    nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    wide = torch.maximum(bodies.taper, torch.ones_like(bodies.taper))[..., None]
+    nodes = torch.stack(torch.meshgrid(*axes, indexing="ij")).reshape(3, -1)
+    all_parts = _Parts(bodies)
+    parts = all_parts.parts
+    wide = torch.maximum(parts.taper, torch.ones_like(parts.taper))[..., None]
     room = 3.0
-    reach = torch.cat([bodies.half[..., :2] * wide, bodies.half[..., 2:] + 0.5 * bodies.length[..., None]], 2) + room
-    middle = bodies.start + 0.5 * bodies.length[..., None] * bodies.frame[..., 2]
-    points = middle[:, :, None] + (reach[:, :, None] * nodes) @ bodies.frame.transpose(2, 3)
-    bone, _, owned = _measured(bodies, points, NEAR // 2)
+    reach = torch.cat([parts.half[..., :2] * wide, parts.half[..., 2:] + 0.5 * parts.length[..., None]], 1) + room
+    middle = parts.start + 0.5 * parts.length[..., None] * parts.frame[..., 2]
+    axes_of_boxes = parts.frame * reach[:, None]
+    bone, _, owned = all_parts.measured(middle, axes_of_boxes, nodes, NEAR // 2)
     weight = torch.sigmoid(-SHARPNESS * torch.maximum(bone, owned))
-    total = weight.sum(2).clamp(min=1e-3)
-    centre = torch.einsum("nkm,nkmi->nki", weight, points) / total[..., None]
-    away = points - centre[:, :, None]
-    covariance = (weight[..., None] * away).transpose(2, 3) @ away / total[..., None, None]
+    weight = weight / weight.sum(1, keepdim=True).clamp(min=1e-3)
+    mean = weight @ nodes.T
+    square = torch.einsum("pm,im,jm->pij", weight, nodes, nodes) - mean[:, :, None] * mean[:, None]
+    covariance = torch.zeros(*bodies.alive.shape, 3, 3, device=mean.device)
+    centre = torch.zeros(*bodies.alive.shape, 3, device=mean.device)
+    covariance[bodies.alive] = axes_of_boxes @ square @ axes_of_boxes.mT
+    centre[bodies.alive] = middle + (axes_of_boxes @ mean[..., None])[..., 0]
     return covariance, centre
 
 
@@ -139,38 +143,65 @@ def _depth(bodies: Bodies) -> Tensor:
     return depth
 
 
-def _measured(bodies: Bodies, points: Tensor, near: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Distances (n, 8, m) of points (n, 8, m, 3) to their own bone and skin, and to where a linked bone is nearer.
+class _Parts:
+    """The existing parts of a batch in one row, who carries whom among them, and what is measured at their nodes."""
 
-    The last is about a signed distance, positive where the voxel belongs to a neighbour; it is measured at the `near`
-    points nearest to each hinge and -1000 elsewhere.
+    def __init__(self, bodies: Bodies) -> None:
+        body, place = bodies.alive.nonzero(as_tuple=True)
+        self.parts = bodies.pick(body, place)
+        number = bodies.alive.flatten().cumsum(0).view_as(bodies.alive) - 1
+        self.hinged = place.nonzero()[:, 0]
+        self.carrier = number[body, bodies.parent[body, place]][self.hinged]
+
+    def measured(self, origin: Tensor, axes: Tensor, nodes: Tensor, near: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Distances (p, m) to a part's own bone and skin, and to where a linked bone is nearer.
+
+        The last is about a signed distance, positive where the voxel belongs to a neighbour; it is measured at the
+        `near` nodes nearest to each hinge and -1000 elsewhere.
+
+        Args:
+            origin: where node 0 of each part lies in the grid, (p, 3).
+            axes: columns are the steps of a node's coordinates, (p, 3, 3).
+            nodes: coordinates, (3, m).
+            near: how many nodes around a hinge.
+        """
+        chunk = CHUNK if origin.device.type == "cpu" else len(origin)
+        own = [bone_and_skin(self.parts.pick(i), *_local(self.parts.pick(i), origin[i], axes[i], nodes))
+               for i in torch.arange(len(origin), device=origin.device).split(chunk)]  # fmt: skip
+        bone, skin = (torch.cat(each) for each in zip(*own, strict=True))
+        owned = torch.full_like(bone, -FAR)
+        for mine, other in ((self.hinged, self.carrier), (self.carrier, self.hinged)):
+            hinge = self.parts.position[self.hinged]
+            close, edge = [], []
+            for rows in torch.arange(len(mine), device=mine.device).split(chunk):
+                i = mine[rows]
+                x, y, z = _placed(axes[i], origin[i] - hinge[rows], nodes)
+                nearest = (x * x + y * y + z * z).topk(near, dim=1, largest=False, sorted=False).indices
+                at = nodes[:, nearest].transpose(0, 1)
+                rival = self.parts.pick(other[rows])
+                distance = bone_only(rival, *_local(rival, origin[i], axes[i], at))
+                close.append(nearest)
+                edge.append(0.6 * (bone[i].gather(1, nearest) - distance))
+            index = torch.cat(close) + (mine * bone.shape[1])[:, None]
+            owned.view(-1).scatter_reduce_(0, index.flatten(), torch.cat(edge).flatten(), "amax")
+        return bone, skin, owned
+
+
+def _local(parts: Bodies, origin: Tensor, axes: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Coordinates of nodes in the frames of parts, from the near ends of their core lines, (p, m) each."""
+    return _placed(parts.frame.mT @ axes, (parts.frame.mT @ (origin - parts.start)[..., None])[..., 0], nodes)
+
+
+def _placed(axes: Tensor, origin: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Coordinates (p, m) of nodes, (3, m) of all or (p, 3, m), by `origin` (p, 3) and the columns of `axes`.
+
+    Row by row: for so few numbers in a row a product of matrices takes longer.
     """
-    part, carrier = _where(bodies)
-    bone = torch.full(points.shape[:3], FAR, device=points.device)
-    skin = bone.clone()
-    owned = torch.full_like(bone, -FAR)
-    alive = bodies.alive.nonzero(as_tuple=True)
-    for chunk in zip(*(i.split(CHUNK) for i in alive), strict=True):
-        bone[chunk], skin[chunk] = field(bodies.pick(*chunk), points[chunk])
-    for own, other in ((part, carrier), (carrier, part)):
-        hinge = bodies.position[part][:, None]
-        close = (points[own] - hinge).square().sum(2).topk(near, dim=1, largest=False).indices
-        rivals = []
-        for rows in torch.arange(len(close), device=close.device).split(4 * CHUNK):
-            at = points[own][rows].gather(1, close[rows, :, None].expand(-1, -1, 3))
-            rivals.append(field(bodies.pick(*(i[rows] for i in other)), at)[0])
-        rival = torch.cat(rivals)
-        edge = torch.full((len(close), points.shape[2]), -FAR, device=points.device)
-        edge.scatter_(1, close, 0.6 * (bone[own].gather(1, close) - rival))
-        flat = owned.view(-1, owned.shape[2])
-        index = (own[0] * MAX_PARTS + own[1])[:, None].expand_as(edge)
-        flat.scatter_reduce_(0, index, edge, "amax")
-    return bone, skin, owned
-
-
-def _where(bodies: Bodies) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-    """Body and place of every part but the torsos, and of the parts that carry them."""
-    body, place = bodies.alive.nonzero(as_tuple=True)
-    hinged = place > 0
-    body, place = body[hinged], place[hinged]
-    return (body, place), (body, bodies.parent[body, place])
+    u, v, w = nodes.unbind(-2)
+    x, y, z = (
+        torch.addcmul(origin[:, i, None], u, axes[:, i, 0, None])
+        .addcmul_(v, axes[:, i, 1, None])
+        .addcmul_(w, axes[:, i, 2, None])
+        for i in range(3)
+    )
+    return x, y, z

@@ -40,11 +40,13 @@ class Features:
     """One design as the encoder sees it.
 
     Attributes:
-        lattices: smoothed bone and body of each part, (8, 4608); 0.2 less where there is a part.
+        alive: which places of the eight hold a part, (8,).
+        lattices: smoothed bone and body of each of the p parts, less 0.2, (p, 4608).
         pose: existence, carrier, pose and centre of each part, (8, 30).
         segments: ids of the design's segments in this order.
     """
 
+    alive: NDArray[np.bool_]
     lattices: NDArray[np.float32]
     pose: NDArray[np.float32]
     segments: tuple[int, ...]
@@ -59,7 +61,7 @@ def features(design: VoxelDesign) -> Features:
     centre, covariance, size = _moments(design)
     order, carrier, joints = _tree(design, centre, size)
     owner = _owners(design)
-    lattices = np.zeros((MAX_PARTS, 2 * NODES), np.float32)
+    lattices = np.zeros((len(order), 2 * NODES), np.float32)
     pose = np.zeros((MAX_PARTS, 1 + MAX_PARTS + POSE + 3), np.float32)
     frames: list[NDArray[np.float64]] = []
     boxes: list[NDArray[np.float64]] = []
@@ -91,7 +93,7 @@ def features(design: VoxelDesign) -> Features:
         frames.append(frame)
         boxes.append(box)
         middles.append(c)
-    return Features(lattices, pose, tuple(order))
+    return Features(np.arange(MAX_PARTS) < len(order), lattices, pose, tuple(order))
 
 
 def _moments(

@@ -35,10 +35,8 @@ def linear_start(seed: int, bodies: int) -> dict[str, NDArray[np.float32]]:
         examples(sample_bodies(BATCH, generator(seed, 2**42 + i))) for i in range(max(bodies // BATCH, LEAST // BATCH))
     ]
     looks = [seen(batch) for batch in batches]
-    pose = torch.cat([p for _, p in looks])
-    alive = torch.cat([batch.alive for batch in batches])
-    lattices = torch.cat([x[batch.alive] for (x, _), batch in zip(looks, batches, strict=True)])
-    wanted = torch.cat([batch.distance.flatten(2)[batch.alive] for batch in batches]) / TRUNCATION
+    alive, lattices, pose = (torch.cat(each) for each in zip(*looks, strict=True))
+    wanted = torch.cat([batch.distance.flatten(1) for batch in batches]) / TRUNCATION
     torch.manual_seed(0)  # svd_lowrank takes its randomness from nowhere else.
     _, size, forms = torch.svd_lowrank(lattices - lattices.mean(0), FORMS, niter=3)
     size = size / math.sqrt(len(lattices))

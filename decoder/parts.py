@@ -32,8 +32,9 @@ TENSOR = slice(10, 16)  # hinge axis a in the part's frame as a a^T: xx, yy, zz,
 RANGE = slice(16, 18)  # least and greatest angle [rad]
 POSE = 18
 # Tolerances: a deviation of so much costs half a nat. Their ratio to a body's spread is the information a latent holds.
+# A part out of place is wrong all over its surface, and so is all that it carries: places are held more tightly.
 TOLERANCES = (
-    ("attach", ATTACH, 0.03), ("direction", DIRECTION, 0.03), ("distance", DISTANCE, 0.03), ("spread", SPREAD, 0.03),
+    ("attach", ATTACH, 0.01), ("direction", DIRECTION, 0.01), ("distance", DISTANCE, 0.01), ("spread", SPREAD, 0.015),
     ("axis", TENSOR, 0.06), ("range", RANGE, 0.08),
 )  # fmt: skip
 _AZIMUTH_CUT = -7 * math.pi / 8  # siblings are numbered by azimuth from here

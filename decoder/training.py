@@ -16,7 +16,6 @@ from torch.nn import functional
 
 from decoder import networks
 from decoder.examples import Examples, examples, seen
-from decoder.genome import LATENT_DIM
 from decoder.linear_start import linear_start
 from decoder.parts import MAX_PARTS, POSE, TOLERANCES, TRUNCATION
 from decoder.synthetic import generator, sample_bodies
@@ -26,7 +25,7 @@ _LATTICE_TOLERANCE = 0.30  # of a signed distance [voxels],
 _LATTICE_WORTH = 60.0  # as if so many nodes of a lattice were independent
 _CHOICE_WORTH = 5.0  # of existence and of the carrier, in nats per nat
 _NANS_ALLOWED = 20  # steps in a row without a finite loss
-_GROUP = 4096  # bodies that the prior's mean and covariance are taken from
+_PATHS = 4  # of the flow, per body and step
 _FORMAT = "bodyplan-decoder-checkpoint-1"
 
 
@@ -51,7 +50,7 @@ class Settings:
         ema: decay per step of the running mean of the weights.
         precision: "fp32" or "bf16" for the products of matrices.
         device: "cpu" or "cuda".
-        threads: on the CPU; 0 leaves it to torch.
+        threads: on the CPU, half of them to learn and half to draw bodies meanwhile; 0 leaves it to torch.
         start_bodies: that a training from scratch takes its linear start from, 256 or more; 0 begins with noise.
     """
 
@@ -67,6 +66,14 @@ class Settings:
     start_bodies: int = 2048
 
 
+def has_bf16(device: str) -> bool:
+    """Whether products of bf16 matrices are faster there than those of fp32: on GPUs, and CPUs with matrix units."""
+    if device != "cpu":
+        return True
+    ask = getattr(torch.cpu, "get_capabilities", None)  # since torch 2.11
+    return ask is not None and bool(ask().get("amx_bf16"))
+
+
 class Training:
     """State of one training: weights, their running mean, the optimiser's moments, and how far it is."""
 
@@ -80,11 +87,11 @@ class Training:
         decayed = [a for name, a in self._arrays.items() if a.ndim == 2 and not name.endswith("place")]
         rest = [a for name, a in self._arrays.items() if not (a.ndim == 2 and not name.endswith("place"))]
         groups = [{"params": decayed, "weight_decay": 0.01}, {"params": rest, "weight_decay": 0.0}]
-        self._optimiser = torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.98))
+        self._optimiser = torch.optim.AdamW(groups, lr=0.0, betas=(0.9, 0.98), fused=True)
         self._worker = ThreadPoolExecutor(1)
         self._next: tuple[int, Future[Examples]] | None = None
         if settings.threads:
-            torch.set_num_threads(settings.threads)
+            torch.set_num_threads(max(1, settings.threads // 2))
 
     @classmethod
     def start(cls, settings: Settings, weights: Weights | None) -> Training:
@@ -98,7 +105,7 @@ class Training:
                 )
         else:
             arrays = {name: np.array(a) for name, a in weights.arrays.items()}
-        return cls(settings, {n: torch.tensor(a) for n, a in arrays.items() if not n.startswith("prior.")})
+        return cls(settings, {name: torch.tensor(array) for name, array in arrays.items()})
 
     def advance(self) -> dict[str, float]:
         """Take one step on bodies drawn for it; return the terms of the loss in nats per body.
@@ -109,13 +116,12 @@ class Training:
             Diverged: after 20 such steps in a row.
         """
         batch = self._batch()
-        rng = generator(self.settings.seed, 2 * self.step + 1)
-        noise = torch.randn((len(batch.alive), LATENT_DIM), generator=rng).to(self.settings.device)
+        rng = generator(self.settings.seed, 2 * self.step + 1, self.settings.device)
         for group in self._optimiser.param_groups:
             group["lr"] = self._learning_rate()
         bf16 = self.settings.precision == "bf16"
         with torch.autocast(self.settings.device, torch.bfloat16, enabled=bf16):
-            terms = losses(self._arrays, batch, noise, self._pressure())
+            terms = losses(self._arrays, batch, rng, self._pressure())
         total = terms["loss"]
         self._optimiser.zero_grad(set_to_none=True)
         total.backward()
@@ -160,27 +166,8 @@ class Training:
             return examples(sample_bodies(self.settings.batch, rng))
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
-        """Mean weights, with the map that makes latents of this training's bodies white."""
-        mean, square, count = np.zeros(LATENT_DIM), np.zeros((LATENT_DIM, LATENT_DIM)), 0
-        arrays = {name: a.float() for name, a in self._mean.items()}
-        for index in range(_GROUP // 256):
-            rng = generator(self.settings.seed, 2**40 + index, self.settings.device)
-            with torch.no_grad():
-                mu, spread = networks.encode(arrays, *seen(examples(sample_bodies(256, rng))), torch)
-            noise = torch.randn(mu.shape, generator=generator(self.settings.seed, 2**41 + index)).to(mu.device)
-            z = (mu + noise * (0.5 * spread).exp()).cpu().double().numpy()
-            mean += z.sum(0)
-            square += z.T @ z
-            count += len(z)
-        mean /= count
-        values, vectors = np.linalg.eigh(square / count - np.outer(mean, mean))
-        scale = np.sqrt(np.maximum(values, 1e-4))
-        prior = {
-            "prior.mean": mean,
-            "prior.spread": (vectors * scale) @ vectors.T,
-            "prior.whiten": (vectors / scale) @ vectors.T,
-        }
-        return {n: a.cpu().numpy() for n, a in arrays.items()} | {n: a.astype(np.float32) for n, a in prior.items()}
+        """Mean weights."""
+        return {name: array.float().cpu().numpy() for name, array in self._mean.items()}
 
     def save(self, path: Path) -> None:
         """Write everything that going on needs, exactly here."""
@@ -212,7 +199,7 @@ class Training:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    wanted = {n: s for n, s in networks.shapes({}).items() if not n.startswith("prior.")}
+    wanted = networks.shapes({})
     try:
         # Only tensors and plain containers: no code of the file runs.
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -227,14 +214,20 @@ def _read(path: Path) -> dict[str, Any]:
     return dict(state)
 
 
-def losses(w: dict[str, Tensor], batch: Examples, noise: Tensor, pressure: float) -> dict[str, Tensor]:
-    """Negative evidence bound of a batch and its terms, nats per body."""
-    lattices, pose = seen(batch)
-    mu, spread = networks.encode(w, lattices, pose, torch)
+def losses(w: dict[str, Tensor], batch: Examples, rng: torch.Generator, pressure: float) -> dict[str, Tensor]:
+    """Negative evidence bound of a batch and its terms, nats per body; and `flow`, which teaches the flow only.
+
+    The flow learns the mean velocity of points on straight ways from draws of N(0, I) to draws of the posterior
+    (conditional flow matching).
+    """
+    mu, spread = networks.encode(w, *seen(batch), torch)
     mu, spread = mu.float(), spread.float()
     divergence = 0.5 * (mu * mu + spread.exp() - 1 - spread).sum(1).mean()
-    said, distance = networks.decode(w, mu + noise * (0.5 * spread).exp(), torch)
-    said, distance = said.float(), distance.float()
+    width = (0.5 * spread).exp()
+    noise = torch.randn((2, _PATHS, *mu.shape), generator=rng, device=mu.device)
+    said, tokens = networks.decode(w, mu + noise[0, 0] * width, torch)
+    distance = networks.distances(w, tokens, batch.alive, torch)
+    said = said.float()
     n = len(mu)
     alive = batch.alive.float()
     existence = functional.binary_cross_entropy_with_logits(said[:, 1:, 0], alive[:, 1:], reduction="sum") / n
@@ -244,17 +237,21 @@ def losses(w: dict[str, Tensor], batch: Examples, noise: Tensor, pressure: float
     wrong = (said[..., -POSE:] - batch.pose) * alive[..., None]
     for name, part, tolerance in TOLERANCES:
         terms[name] = _cost(wrong[..., part] / tolerance).sum() / n
-    truth = batch.distance.flatten(2)
+    truth = batch.distance.flatten(1)
     near = torch.where(truth.abs() < 2.0, 1.0, 0.15)
     miss = _cost((TRUNCATION * distance - truth) / _LATTICE_TOLERANCE)
-    weighted = (near * miss).view(n, MAX_PARTS, 2, -1).sum(3) / near.view(n, MAX_PARTS, 2, -1).sum(3)
-    terms["surface"] = _LATTICE_WORTH * (weighted * alive[..., None]).sum() / n
+    weighted = (near * miss).view(len(truth), 2, -1).sum(2) / near.view(len(truth), 2, -1).sum(2)
+    terms["surface"] = _LATTICE_WORTH * weighted.sum() / n
     terms["divergence"] = divergence
+    start, end = noise[1], mu.detach() + noise[0] * width.detach()
+    late = torch.rand((_PATHS, len(mu), 1), generator=rng, device=mu.device)
+    time = (torch.arange(_PATHS, device=mu.device)[:, None, None] + late) / _PATHS
+    found = networks.velocity(w, torch.lerp(start, end, time).flatten(0, 1), time.flatten(0, 1), torch)
+    terms["flow"] = 0.5 * (found.float() - (end - start).flatten(0, 1)).square().sum(1).mean()
     loss: Tensor = sum(value for name, value in terms.items() if name != "divergence") + pressure * divergence
     return terms | {"loss": loss}
 
 
 def _cost(x: Tensor) -> Tensor:
     """Half a square near 0, growing linearly beyond 3."""
-    a = x.abs()
-    return torch.where(a < 3.0, 0.5 * x * x, 3.0 * a - 4.5)
+    return functional.huber_loss(x, torch.zeros((), dtype=x.dtype, device=x.device).expand_as(x), "none", delta=3.0)

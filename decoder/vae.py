@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -39,6 +39,8 @@ from decoder.weights import Weights, WeightsError
 
 _GUESS = 0.15  # an axis of less confidence is read from the geometry instead
 _LEAST_REACH = 0.1  # of a hinge either way [rad]
+_GAP = 0.9  # between bones that meet at a hinge, at most [voxels]; they melt together over so much
+_PUSHES = 4  # at most, until they do
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +74,8 @@ class Part:
 class VaeDecoder:
     """Decode z in R^512 by the trained network, and encode designs.
 
-    The raw latents of the network are x = mean + S z; S is chosen such that z has mean 0 and unit covariance over the
-    bodies it was trained on, so that z ~ N(0, I) is the law to search under. Parts exist where the network says so with
+    A flow carries z to the raw latent that the network reads, such that z ~ N(0, I) is the law of the bodies it was
+    trained on and the one to search under. Parts exist where the network says so with
     odds above one half, in a tree by construction: each is carried by an earlier one. Whether the body can be built is
     for solvers to say.
 
@@ -121,8 +123,8 @@ class VaeDecoder:
         rows = []
         for design in designs:
             seen = features(design)
-            mean, _ = networks.encode(w, seen.lattices[None], seen.pose[None], np)
-            rows.append((mean[0] - w["prior.mean"]) @ w["prior.whiten"])
+            mean, _ = networks.encode(w, seen.alive[None], seen.lattices, seen.pose[None], np)
+            rows.append(networks.carried_back(w, mean)[0])
         return np.array(rows, np.float32).reshape(len(rows), LATENT_DIM)
 
     def parts(self, latent: NDArray[np.floating]) -> list[Part]:
@@ -130,21 +132,23 @@ class VaeDecoder:
         w = self._arrays
         # Beyond some ten standard deviations the network was never looked at; it still has to answer with numbers.
         z = np.clip(latent.astype(np.float64), -30.0, 30.0).astype(np.float32)
-        raw = w["prior.mean"] + z @ w["prior.spread"]
-        said, distance = networks.decode(w, raw[None], np)
+        said, tokens = networks.decode(w, networks.carried(w, z[None]), np)
         # Rounded, so that the last bits of a sum, which differ from machine to machine, seldom reach a voxel.
         said = np.round(said[0].astype(np.float64), 5)
-        lattices = np.round(distance[0].reshape(MAX_PARTS, 2, *LATTICE) * np.float32(TRUNCATION), 4)
-        parts: list[Part] = []
-        place = {0: 0}
-        for k in range(MAX_PARTS):
-            if k and said[k, 0] <= 0.0:
-                continue
-            carrier = int(np.argmax(said[k, 1 : 1 + k])) if k else 0
-            if k and carrier not in place:
-                continue  # What carries it does not exist.
-            place[k] = len(parts)
-            parts.append(_part(said[k, -POSE:], lattices[k], parts[place[carrier]] if k else None, place[carrier]))
+        carrier = {0: 0}
+        for k in range(1, MAX_PARTS):
+            before = int(np.argmax(said[k, 1 : 1 + k]))
+            if said[k, 0] > 0.0 and before in carrier:  # What carries it exists, too.
+                carrier[k] = before
+        alive = np.zeros((1, MAX_PARTS), bool)
+        alive[0, list(carrier)] = True
+        distance = networks.distances(w, tokens, alive, np).reshape(-1, 2, *LATTICE)
+        lattices = np.round(distance * np.float32(TRUNCATION), 4)
+        place = {k: index for index, k in enumerate(carrier)}
+        parts = [_torso(said[0, -POSE:], lattices[0])]
+        for k, before in list(carrier.items())[1:]:
+            carrying = parts[place[before]]
+            parts.append(_seated(_part(said[k, -POSE:], lattices[place[k]], carrying, place[before]), carrying))
         return parts
 
     def _design(self, parts: list[Part]) -> VoxelDesign:
@@ -167,14 +171,15 @@ class VaeDecoder:
         return VoxelDesign(material, segment, self.pitch, tuple(joints), depth)
 
 
-def _part(pose: NDArray[np.float64], distance: NDArray[np.float32], before: Part | None, carrier: int) -> Part:
+def _torso(pose: NDArray[np.float64], distance: NDArray[np.float32]) -> Part:
+    """Put the part that nothing carries where its pose says."""
+    centre = MIDDLE + REACH * np.clip(pose[ATTACH], -1.2, 1.2)
+    return Part(0, centre, torso_frame().astype(np.float64), _box(pose), centre, np.array([0.0, 1.0, 0.0]), 1.0,
+                np.array([-1.0, 1.0]), distance)  # fmt: skip
+
+
+def _part(pose: NDArray[np.float64], distance: NDArray[np.float32], before: Part, carrier: int) -> Part:
     """Put one part where its pose says, on the part that carries it."""
-    spread = 3.0 * np.exp(np.clip(pose[SPREAD], -1.5, 1.5))
-    box = box_of(spread)
-    if before is None:
-        centre = MIDDLE + REACH * np.clip(pose[ATTACH], -1.2, 1.2)
-        return Part(0, centre, torso_frame().astype(np.float64), box, centre, np.array([0.0, 1.0, 0.0]), 1.0,
-                    np.array([-1.0, 1.0]), distance)  # fmt: skip
     hinge = before.centre + before.frame @ (before.box * np.clip(pose[ATTACH], -1.2, 1.2))
     length = float(np.linalg.norm(pose[DIRECTION]))
     direction = pose[DIRECTION] / length if length > 1e-3 else np.array([0.0, 0.0, -1.0])
@@ -183,7 +188,45 @@ def _part(pose: NDArray[np.float64], distance: NDArray[np.float32], before: Part
     centre = hinge + 8.0 * float(np.exp(np.clip(pose[DISTANCE][0], -2.0, 1.2))) * direction
     axis = frame @ axis
     reach = np.array([np.clip(pose[RANGE][0], -np.pi, -_LEAST_REACH), np.clip(pose[RANGE][1], _LEAST_REACH, np.pi)])
-    return Part(carrier, centre, frame, box, hinge, axis / np.linalg.norm(axis), confidence, reach, distance)
+    return Part(carrier, centre, frame, _box(pose), hinge, axis / np.linalg.norm(axis), confidence, reach, distance)
+
+
+def _box(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    return box_of(3.0 * np.exp(np.clip(pose[SPREAD], -1.5, 1.5)))
+
+
+def _seated(part: Part, before: Part) -> Part:
+    """Push a part, hinge and all, towards the one that carries it until their bones are at most `_GAP` apart.
+
+    Bones meet at a hinge in every body that was learned from; a latent in between may leave a gap. It is measured on
+    the way from centre to centre over the hinge, where it is narrowest.
+    """
+    for _ in range(_PUSHES):
+        way = np.concatenate([_points_between(before.centre, part.hinge), _points_between(part.hinge, part.centre)])
+        gap = 2.0 * float(np.maximum(_bone_at(before, way), _bone_at(part, way)).min())
+        inwards = before.centre - part.hinge
+        far = float(np.linalg.norm(inwards))
+        if gap <= _GAP or far < 1.0:
+            break
+        push = min(gap - _GAP, far) / far * inwards
+        part = replace(part, centre=part.centre + push, hinge=part.hinge + push)
+    return part
+
+
+def _points_between(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (24, 3) in equal steps from one to the other."""
+    return start + np.linspace(0.0, 1.0, 24)[:, None] * (end - start)
+
+
+def _bone_at(part: Part, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Distances (m,) to a part's bone at points (m, 3) [voxels]; beyond the box, that of the nearest point in it."""
+    at = _node((points - part.centre) @ part.frame / part.box)
+    return ndimage.map_coordinates(part.distance[0], at.T, order=1, mode="nearest", prefilter=False)
+
+
+def _node(local: NDArray[Any]) -> NDArray[Any]:
+    """Places in the box [-1, 1]^3, (..., 3), in nodes of the lattice."""
+    return (local + 1) * (0.5 * (np.array(LATTICE, local.dtype) - 1))
 
 
 def _window(part: Part) -> Window:
@@ -191,7 +234,7 @@ def _window(part: Part) -> Window:
     reach = np.abs(part.frame) @ part.box
     first, count = window_of(part.centre - reach, part.centre + reach)
     local = (centres(first, count) - part.centre.astype(np.float32)) @ (part.frame / part.box).astype(np.float32)
-    at = np.moveaxis((local + 1) * (0.5 * (np.array(LATTICE, np.float32) - 1)), -1, 0)
+    at = np.moveaxis(_node(local), -1, 0)
     bone, skin = (
         ndimage.map_coordinates(layer, at, order=1, mode="constant", cval=FAR, prefilter=False)
         for layer in part.distance

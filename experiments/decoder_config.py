@@ -44,7 +44,8 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
         ema: decay per step of the running mean of the weights, which is what is kept.
         start_bodies: that a training from scratch takes its linear start from; 0 begins with noise.
         device: where; "auto" takes a GPU if there is one.
-        precision: of the sums; "auto" is bf16 on a GPU, if it agrees with fp32 on one batch, and fp32 elsewhere.
+        precision: of the sums; "auto" is bf16 on a GPU or a CPU with matrix units (AMX), fp32 elsewhere. Either way
+            bf16 is used only if it agrees with fp32 on one batch.
         threads: on the CPU; 0 is one per core.
         checkpoint_every: steps between checkpoints, the most that a crash can cost.
         evaluate_every: steps between rows of the curve.
@@ -90,6 +91,4 @@ def load_decoder_config(path: Path) -> TrainDecoder:
         raise BadInput(f"{path}: seed = {config.seed}; that seed is kept for held-out bodies: choose another")
     if config.warmup >= config.steps > 1:
         raise BadInput(f"{path}: warmup = {config.warmup}; it must be less than steps = {config.steps}")
-    if config.device == "cpu" and config.precision == "bf16":
-        raise BadInput(f'{path}: precision = "bf16" needs a GPU and device is "cpu"; write precision = "auto"')
     return config

@@ -232,17 +232,15 @@ def _device(config: TrainDecoder) -> tuple[str, str]:
         return "cuda", str(torch.cuda.get_device_name(0))
     if config.device == "cuda":
         raise BadInput('device = "cuda" and torch finds no GPU; write device = "auto" (see `bodyplan doctor`)')
-    if config.precision == "bf16":
-        raise BadInput('precision = "bf16" needs a GPU and torch finds none; write precision = "auto"')
     threads = config.threads or cores()
     return "cpu", f"{threads} CPU {'thread' if threads == 1 else 'threads'}"
 
 
 def _precision(config: TrainDecoder, device: str, threads: int, weights: Weights | None) -> str:
-    """fp32, or bf16 where it may be used and agrees with fp32 on the first batch."""
-    from decoder.training import Training
+    """fp32, or bf16 where it is faster or asked for, and agrees with fp32 on the first batch."""
+    from decoder.training import Training, has_bf16
 
-    if device == "cpu" or config.precision == "fp32":
+    if config.precision == "fp32" or (config.precision == "auto" and not has_bf16(device)):
         return "fp32"
     fine, coarse = (Training.start(_settings(config, device, name, threads), weights).advance()
                     for name in ("fp32", "bf16"))  # fmt: skip

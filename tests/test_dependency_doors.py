@@ -32,6 +32,8 @@ DOORS: dict[str, set[str]] = {
     "tqdm": {"experiments/output.py"},
     "torch": {
         "decoder/examples.py",
+        "decoder/formulas.py",
+        "decoder/growth.py",
         "decoder/linear_start.py",
         "decoder/synthetic.py",
         "decoder/training.py",

@@ -8,10 +8,14 @@ from bodies import ellipsoid, painted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from decoder.design import Material
 from decoder.genome import LATENT_DIM, GenomeDecoder
-from decoder.networks import initial
-from decoder.vae import VaeDecoder
+from decoder.kinematics import touch
+from decoder.networks import carried, carried_back, initial
+from decoder.parts import LATTICE, lattice_points
+from decoder.vae import _GAP, Part, VaeDecoder, _seated
 from decoder.weights import Weights, WeightsError
+from mfg.skeleton import SkeletonSolver, contacts
 
 
 @pytest.fixture(scope="module")
@@ -19,6 +23,7 @@ def decoder() -> VaeDecoder:
     arrays = initial(np.random.default_rng(3))
     x = np.linspace(-1, 1, 12)[:, None, None] ** 2 + np.linspace(-1, 1, 12)[:, None] ** 2 + np.linspace(-1, 1, 16) ** 2
     ball = (np.sqrt(x) - 0.6) * 2
+    arrays["flow.out"] = 0.02 * np.random.default_rng(4).standard_normal(arrays["flow.out"].shape).astype(np.float32)
     arrays["said.lattices_bias"] = np.tile(np.stack([ball, ball - 0.4]).ravel(), (8, 1)).astype(np.float32)
     return VaeDecoder(Weights(arrays, "", {}))
 
@@ -32,6 +37,47 @@ def test_the_same_latent_gives_the_same_bytes_in_any_batch(decoder: VaeDecoder):
     together = [d.key for d in decoder.decode(z)]
     assert together == [decoder.decode(z[k : k + 1])[0].key for k in range(5)]
     assert together[::-1] == [d.key for d in decoder.decode(z[::-1])]
+
+
+def test_the_flow_is_inverted(decoder: VaeDecoder):
+    z = latents(3, 8)
+    x = carried(decoder.weights.arrays, z)
+    assert np.abs(x - z).mean() > 0.1
+    assert np.abs(carried_back(decoder.weights.arrays, x) - z).max() < 1e-4
+
+
+def test_linked_bones_touch_and_others_do_not(decoder: VaeDecoder):
+    """Whatever the network says: parts are pushed together at their hinge, and bones that share none are cut apart."""
+    joints, apart = 0, 0
+    for design in decoder.decode(latents(12, 2)):
+        labels = np.where(design.material == Material.RIGID, design.segment, 0)
+        linked = {frozenset((j.parent, j.child)) for j in design.joints}
+        joints += len(linked)
+        apart += sum(not touch(design, j.parent, j.child) for j in design.joints)
+        faces = {frozenset(pair): count for pair, count in contacts(labels).items()}
+        assert all(count < SkeletonSolver().contact_faces for pair, count in faces.items() if pair not in linked)
+    assert joints > 12
+    assert apart <= 1  # where others crowd in between
+
+
+@pytest.mark.parametrize("away", [0.0, 2.0, 7.0])
+def test_a_part_is_pushed_until_the_bones_meet(away: float):
+    radius = (np.linalg.norm(lattice_points() * 9.0, axis=1) - 5.0).reshape(LATTICE).clip(-4, 4).astype(np.float32)
+    ball = np.stack([radius, radius - 1])
+    across = np.array([0.0, 1.0, 0.0])
+
+    def part(x: float, hinge: float) -> Part:
+        return Part(0, np.array([x, 32.0, 32.0]), np.eye(3), np.full(3, 9.0), np.array([hinge, 32.0, 32.0]), across,
+                    1.0, np.array([-1.0, 1.0]), ball)  # fmt: skip
+
+    torso, limb = part(20.0, 20.0), part(30.0 + away, 25.0 + away / 2)
+    seated = _seated(limb, torso)
+    gap = seated.centre[0] - torso.centre[0] - 10.0
+    if away == 0.0:
+        assert seated is limb
+    else:
+        assert 0.3 < gap < _GAP + 0.1
+        assert seated.hinge - seated.centre == pytest.approx(limb.hinge - limb.centre)
 
 
 def test_joints_link_parts_into_one_tree(decoder: VaeDecoder):

@@ -107,7 +107,8 @@ def module(name, **names):
 def stand_in():
     """A module like the real one, with a training of its own."""
     kind = type("Training", (Training,), {})
-    names = {"Settings": Settings, "TrainingError": TrainingError, "Diverged": Diverged}
+    names = {"Settings": Settings, "TrainingError": TrainingError, "Diverged": Diverged,
+             "has_bf16": lambda device: device != "cpu"}  # fmt: skip
     return module("decoder.training", Training=kind, **names)
 
 
@@ -183,7 +184,7 @@ def test_the_configurations_are_good(name):
         ('kind = "train-decoder"\n[evaluation]\nbody = 5', "unknown key evaluation.body; did you mean bodies?"),
         ('kind = "train-decoder"\nwarmup = 10\nsteps = 10', "warmup = 10; it must be less than steps = 10"),
         (f'kind = "train-decoder"\nseed = {CURVE_SEED}', "that seed is kept for held-out bodies"),
-        ('kind = "train-decoder"\ndevice = "cpu"\nprecision = "bf16"', 'precision = "bf16" needs a GPU'),
+        ('kind = "train-decoder"\nprecision = "fp8"', 'precision = "fp8"; it must be "auto" | "fp32" | "bf16"'),
         ("kind = ", "is not a TOML file"),
     ],
 )
@@ -377,6 +378,14 @@ def test_bf16_is_trusted_only_if_it_agrees(fake, tmp_path, monkeypatch, capsys, 
     _, mark = sit(config(device="auto"), tmp_path / "run", stop_after=2)
     assert mark.precision == precision  # and the next sitting goes on as the first did
     assert "one batch" not in capsys.readouterr().err
+
+
+def test_a_cpu_uses_bf16_where_that_is_faster_or_asked_for(fake, tmp_path, monkeypatch):
+    assert sit(config(), tmp_path / "slow", stop_after=2)[1].precision == "fp32"
+    assert sit(config(precision="bf16"), tmp_path / "asked", stop_after=2)[1].precision == "bf16"
+    monkeypatch.setattr(sys.modules["decoder.training"], "has_bf16", lambda _: True)
+    assert sit(config(), tmp_path / "fast", stop_after=2)[1].precision == "bf16"
+    assert sit(config(precision="fp32"), tmp_path / "not", stop_after=2)[1].precision == "fp32"
 
 
 def test_going_on_elsewhere_is_told(fake, tmp_path, monkeypatch, capsys):
