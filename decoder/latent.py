@@ -22,7 +22,7 @@ __all__ = [
 Prior = Literal["normal", "uniform"]
 PRIORS: tuple[str, ...] = get_args(Prior)
 DECODERS: tuple[str, ...] = ("vae", "genome")
-DEFAULT_DECODER = "genome"
+DEFAULT_DECODER = "vae"
 _UNIT_VARIANCE = float(np.sqrt(3.0))  # half-width of the uniform law whose variance is 1
 
 

@@ -158,10 +158,10 @@ def velocity(w: Arrays, x: Any, t: Any, xp: ModuleType) -> Any:
     return hidden @ w["flow.out"]
 
 
-def carried(w: Arrays, z: NDArray[np.float32]) -> NDArray[np.float32]:
+def carried(w: Arrays, z: Any, xp: ModuleType) -> Any:
     """Raw latents of z (n, 512), which follows N(0, I): Euler's rule, with the velocity of the middle of each step."""
     for k in range(FLOW_STEPS):
-        z = z + _step(w, z, k)
+        z = z + _step(w, z, k, xp)
     return z
 
 
@@ -170,13 +170,12 @@ def carried_back(w: Arrays, x: NDArray[np.float32]) -> NDArray[np.float32]:
     for k in reversed(range(FLOW_STEPS)):
         z = x
         for _ in range(_ROUNDS):
-            z, before = x - _step(w, z, k), z
+            z, before = x - _step(w, z, k, np), z
             if np.abs(z - before).max(initial=0.0) < _SETTLED:
                 break
         x = z
     return x
 
 
-def _step(w: Arrays, x: NDArray[np.float32], k: int) -> NDArray[np.float32]:
-    time = np.full((len(x), 1), (k + 0.5) / FLOW_STEPS, np.float32)
-    return np.asarray(velocity(w, x, time, np), np.float32) / np.float32(FLOW_STEPS)
+def _step(w: Arrays, x: Any, k: int, xp: ModuleType) -> Any:
+    return velocity(w, x, xp.full_like(x[:, :1], (k + 0.5) / FLOW_STEPS), xp) / FLOW_STEPS

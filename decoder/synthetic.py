@@ -11,12 +11,9 @@ from decoder.compose import Window, centres, compose, window_of
 from decoder.design import DEFAULT_PITCH, Joint, VoxelDesign
 from decoder.formulas import LIMIT, Bodies, field
 from decoder.growth import grown
-from decoder.trees import MAX_PARTS
+from decoder.room import layout_of, shortfalls
 
-HINGES_APART = 9.0  # at least, for a motor at each [voxels]
-BONES_APART = 1.5  # bones without a common hinge, at least [voxels]
 _CANDIDATES, _LEAST_CANDIDATES = 3, 12  # bodies drawn for each that is taken, and for a call
-_BALLS = 5  # that stand for a bone
 
 
 def sample_bodies(n: int, rng: torch.Generator) -> Bodies:
@@ -26,41 +23,9 @@ def sample_bodies(n: int, rng: torch.Generator) -> Bodies:
     without a common hinge keep apart.
     """
     drawn = grown(max(_CANDIDATES * n, _LEAST_CANDIDATES), rng)
-    return drawn.pick(torch.sort(_cramped(drawn), stable=True).indices[:n])
-
-
-def _cramped(bodies: Bodies) -> Tensor:
-    """By how much hinges or bones are too near each other, (n,) [voxels]; 0 for a body with room."""
-    alive, parent = bodies.alive, bodies.parent
-    hinged = alive.clone()
-    hinged[:, 0] = False
-    apart = torch.cdist(bodies.position, bodies.position)
-    near_hinges = (HINGES_APART - apart).masked_fill(~_pairs(hinged), 0.0)
-    # Bones as a few balls each; those of the torso, which is flat and has no core line, lie side by side.
-    along = torch.linspace(0.0, 1.0, _BALLS, device=alive.device)
-    centre = bodies.start[:, :, None] + (along * bodies.length[..., None])[..., None] * bodies.frame[:, :, None, :, 2]
-    thick = bodies.half[..., :2].mean(2)[..., None] * (1 + (bodies.taper[..., None] - 1) * along)
-    y, z, x = bodies.half[:, 0].unbind(1)
-    thick[:, 0] = (0.5 * (torch.minimum(x, y) + z))[:, None]
-    row = (2 * along - 1) * (x - thick[:, 0, 0]).clamp(min=0)[:, None]
-    centre[:, 0] = bodies.start[:, 0, None] + row[..., None] * bodies.frame[:, 0, None, :, 2]
-    gap = (
-        torch.cdist(centre.flatten(1, 2), centre.flatten(1, 2))
-        - thick.flatten(1)[:, :, None]
-        - thick.flatten(1)[:, None]
-    )
-    count = len(alive)
-    gap = gap.view(count, MAX_PARTS, _BALLS, MAX_PARTS, _BALLS).amin(dim=(2, 4))
-    place = torch.arange(MAX_PARTS, device=alive.device)
-    carries = parent[:, None, :] == place[:, None]  # (n, carrier, carried)
-    strangers = _pairs(alive) & ~carries & ~carries.mT
-    near_bones = (BONES_APART - gap).masked_fill(~strangers, 0.0)
-    return torch.maximum(near_hinges, near_bones).clamp(min=0).amax(dim=(1, 2))
-
-
-def _pairs(of: Tensor) -> Tensor:
-    """Which pairs of different parts are both chosen, (n, 8, 8) from (n, 8)."""
-    return of[:, :, None] & of[:, None] & ~torch.eye(MAX_PARTS, dtype=torch.bool, device=of.device)
+    hinges, bones = shortfalls(layout_of(drawn))
+    cramped = torch.maximum(hinges, bones).amax(dim=(1, 2))
+    return drawn.pick(torch.sort(cramped, stable=True).indices[:n])
 
 
 def generator(seed: int, index: int, device: str = "cpu") -> torch.Generator:

@@ -132,7 +132,7 @@ class VaeDecoder:
         w = self._arrays
         # Beyond some ten standard deviations the network was never looked at; it still has to answer with numbers.
         z = np.clip(latent.astype(np.float64), -30.0, 30.0).astype(np.float32)
-        said, tokens = networks.decode(w, networks.carried(w, z[None]), np)
+        said, tokens = networks.decode(w, networks.carried(w, z[None], np), np)
         # Rounded, so that the last bits of a sum, which differ from machine to machine, seldom reach a voxel.
         said = np.round(said[0].astype(np.float64), 5)
         carrier = {0: 0}
@@ -173,7 +173,7 @@ class VaeDecoder:
 
 def _torso(pose: NDArray[np.float64], distance: NDArray[np.float32]) -> Part:
     """Put the part that nothing carries where its pose says."""
-    centre = MIDDLE + REACH * np.clip(pose[ATTACH], -1.2, 1.2)
+    centre = MIDDLE + REACH * np.clip(pose[ATTACH], -1.6, 1.6)
     return Part(0, centre, torso_frame().astype(np.float64), _box(pose), centre, np.array([0.0, 1.0, 0.0]), 1.0,
                 np.array([-1.0, 1.0]), distance)  # fmt: skip
 

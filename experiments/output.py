@@ -22,7 +22,7 @@ DEFECT = 70  # exit status: the program itself is at fault
 
 # What the options of the same name accept; a test keeps them equal to what the library offers.
 DECODERS = ("vae", "genome")
-DEFAULT_DECODER = "genome"
+DEFAULT_DECODER = "vae"
 WEIGHTS_SUFFIX = ".safetensors"  # a file of weights for the learned decoder stands where its name does
 PRIORS = ("normal", "uniform")
 SOLVERS = ("paper",)

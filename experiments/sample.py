@@ -41,7 +41,7 @@ def main(args: argparse.Namespace) -> int:
     digits = len(str(args.n - 1))
     bodies, images, labels = [], [], []
     designs = (design for k in range(0, args.n, BATCH) for design in decoder.decode(latents[k : k + BATCH]))
-    for k, design in enumerate(progress(designs, args.n, "decoding")):
+    for k, design in enumerate(progress(designs, args.n, "decoding and drawing")):
         file = folder / f"body_{k:0{digits}d}.npz"
         design.save(file)
         bodies.append({"file": file.name, "design": design.key, "segments": len(design.segments),

@@ -35,6 +35,7 @@ DOORS: dict[str, set[str]] = {
         "decoder/formulas.py",
         "decoder/growth.py",
         "decoder/linear_start.py",
+        "decoder/room.py",
         "decoder/synthetic.py",
         "decoder/training.py",
         "experiments/decoder_training.py",

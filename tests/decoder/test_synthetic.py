@@ -13,10 +13,10 @@ from decoder.design import Material
 from decoder.examples import examples, seen
 from decoder.features import features
 from decoder.formulas import Bodies, field
-from decoder.growth import grown
 from decoder.kinematics import is_one_tree, tree_shape
 from decoder.networks import decode, distances, encode, initial, velocity
-from decoder.synthetic import BONES_APART, HINGES_APART, generator, sample_bodies, sample_designs
+from decoder.room import BONES_APART
+from decoder.synthetic import generator, sample_bodies, sample_designs
 from decoder.trees import all_trees
 
 
@@ -111,19 +111,6 @@ def test_the_field_of_a_round_torso_is_its_distance(bodies: Bodies):
     distance = (points - values["start"][:, None]).norm(dim=2)
     assert torch.allclose(bone, distance - 6.0, atol=1e-3)
     assert torch.allclose(skin, distance - 8.5, atol=1e-3)
-
-
-def test_hinges_leave_room_for_motors(bodies: Bodies):
-    nearest = torch.cdist(bodies.position, bodies.position)
-    hinged = bodies.alive.clone()
-    hinged[:, 0] = False
-    pairs = hinged[:, :, None] & hinged[:, None] & ~torch.eye(8, dtype=torch.bool)
-    assert nearest[pairs].min() > HINGES_APART - 1e-4
-    wild = grown(256, generator(1, 0))
-    hinged = wild.alive.clone()
-    hinged[:, 0] = False
-    pairs = hinged[:, :, None] & hinged[:, None] & ~torch.eye(8, dtype=torch.bool)
-    assert torch.cdist(wild.position, wild.position)[pairs].min() < HINGES_APART  # so that the choice is one
 
 
 def test_bones_without_a_common_hinge_seldom_meet():
