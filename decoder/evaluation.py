@@ -70,7 +70,7 @@ class Evaluation:
     def bounds(self) -> tuple[Bound, ...]:
         """The goals, in a fixed order, each with what was measured."""
         r, p, i = self.reconstruction, self.prior, self.interpolation
-        found = (
+        found: tuple[Bound, ...] = (
             Bound("body IoU", 0.90, "at least", r.body_iou.value, r.n),
             Bound("bone IoU", 0.80, "at least", r.bone_iou.value, r.n),
             Bound("IoU per segment", 0.70, "at least", r.segment_iou.value, r.n),
@@ -82,6 +82,10 @@ class Evaluation:
             Bound("distinct tree shapes", 30, "at least", len(p.tree_shapes), p.n),
             Bound("axis change per 1 % step, 95 % quantile", 10.0, "at most", i.axis.value, i.axis.n, "°"),
         )
+        if p.passing.n:
+            found += (
+                Bound("prior samples that can be built", 65.0, "at least", 100 * p.passing.value, p.passing.n, "%"),
+            )
         if self.cost is None:
             return found
         c = self.cost
@@ -114,7 +118,7 @@ def evaluate(
         prior_n: samples of the prior.
         pairs: of latents to interpolate between.
         seed: of latents, of the bootstrap, and of the held-out bodies if they were drawn from one.
-        passes: a further test that the prior's bodies are put to.
+        passes: whether a body can be built, which some of the prior's are asked.
         watch: shows progress.
         batch: bodies decoded at once; the figures do not depend on it.
     """

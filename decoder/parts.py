@@ -22,6 +22,8 @@ SHARPNESS = 1.98  # per voxel: 1 / (1 + exp(1.98 d)) is the smoothed occupancy a
 SMOOTHING = 1.3  # variance that the same smoothing adds to a shape [voxel^2]
 MIDDLE = 32.0  # of the grid [voxels]
 REACH = 16.0  # scale of the torso's offset from there [voxels]
+HINGES_APART = 9.0  # at least, for a motor at each [voxels]
+BONES_APART = 1.5  # bones without a common hinge, at least [voxels]
 
 # The pose of a part, one row of 18 numbers.
 ATTACH = slice(0, 3)  # hinge in the carrying part's box, each face at +-1; of the torso: its offset from the middle

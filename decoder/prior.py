@@ -17,6 +17,7 @@ from decoder.kinematics import is_one_tree, tree_shape
 from decoder.latent import Decoder
 
 BATCH = 32
+JUDGED = 200  # bodies that are put to a further test, which may take its time
 STEPS = 100  # of an interpolation, so that one step is 1 % of the way
 Latents = NDArray[np.floating]
 
@@ -29,7 +30,7 @@ class Prior:
         n: bodies.
         seed: of the draw.
         one_tree: share that is one connected tree with at least two joints (`decoder.kinematics.is_one_tree`).
-        passing: share that the caller's own test passes; n is 0 without one.
+        passing: share of the first 200 that the caller's own test passes; n is 0 without one.
         joint_counts: how many bodies have so many joints, ascending.
         tree_joint_counts: the same among the connected trees only.
         tree_shapes: how many connected trees have that shape (`decoder.kinematics.free_tree_shape`), commonest first.
@@ -94,7 +95,7 @@ def prior_figures(
         if trees[-1] and shape is not None:
             tree_counts[len(design.joints)] += 1
             shapes[shape] += 1
-        if passes is not None:
+        if passes is not None and len(passing) < JUDGED:
             passing.append(passes(design))
     ranked = dict(sorted(shapes.items(), key=lambda item: (-item[1], item[0])))
     return Prior(len(trees), seed, share_of(trees), share_of(passing) if passing else NOTHING,

@@ -11,8 +11,10 @@ from torch.nn import functional
 from decoder.formulas import Bodies
 from decoder.parts import (
     ATTACH,
+    BONES_APART,
     DIRECTION,
     DISTANCE,
+    HINGES_APART,
     MAX_PARTS,
     MIDDLE,
     POSE,
@@ -23,8 +25,6 @@ from decoder.parts import (
     torso_frame,
 )
 
-HINGES_APART = 9.0  # at least, for a motor at each [voxels]
-BONES_APART = 1.5  # bones without a common hinge, at least [voxels]
 BALLS = 5  # that stand for a bone
 _LONG, _WIDE = 1.3, 1.6  # a bone's outermost balls lie so far from its centre, and are so wide [standard deviations]
 

@@ -250,7 +250,7 @@ def losses(w: dict[str, Tensor], batch: Examples, rng: torch.Generator, pressure
     time = (torch.arange(_PATHS, device=mu.device)[:, None, None] + late) / _PATHS
     found = networks.velocity(w, torch.lerp(start, end, time).flatten(0, 1), time.flatten(0, 1), torch)
     terms["flow"] = 0.5 * (found.float() - (end - start).flatten(0, 1)).square().sum(1).mean()
-    terms["room"] = _cramped(w, noise[1, 0, ::2])
+    terms["room"] = _cramped(w, noise[1, 0, ::4])
     loss: Tensor = sum(value for name, value in terms.items() if name != "divergence") + pressure * divergence
     return terms | {"loss": loss}
 

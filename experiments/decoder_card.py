@@ -18,10 +18,7 @@ from decoder.sketch import load_design
 from experiments.decoder_cost import measure_cost
 from experiments.decoder_pictures import write_sheets
 from experiments.decoder_text import Card, card_text
-from mfg.blueprint import Blueprint
-from mfg.outcome import Failure
-from mfg.parts import PAPER
-from mfg.skeleton import SkeletonSolver
+from mfg.pipeline import score
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
@@ -57,13 +54,13 @@ def measure(
         seed: of all draws but the held-out bodies.
         watch: shows progress.
     """
-    found = evaluate(codec, held_out, prior_n=prior_n, pairs=pairs, seed=seed, passes=has_skeleton, watch=watch)
+    found = evaluate(codec, held_out, prior_n=prior_n, pairs=pairs, seed=seed, passes=can_be_built, watch=watch)
     return found if name is None else replace(found, cost=measure_cost(codec, name))
 
 
-def has_skeleton(design: VoxelDesign) -> bool:
-    """Whether the first solver of the pipeline accepts the design."""
-    return not isinstance(SkeletonSolver().solve(Blueprint(design, PAPER)), Failure)
+def can_be_built(design: VoxelDesign) -> bool:
+    """Whether the solvers find a place for all that has to go into the design, by their fast verdict."""
+    return score(design).ok
 
 
 def write_card(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from decoder.figures import Figure
 from decoder.kinematics import REACH, WHOLE
 from decoder.latent import LATENT_DIM
+from decoder.parts import BONES_APART, HINGES_APART
 
 if TYPE_CHECKING:
     from decoder.evaluation import Evaluation
@@ -84,7 +85,9 @@ def card_text(card: Card) -> str:
         "## Training distribution",
         "Bodies drawn without end by `decoder/synthetic.py`: a torso with one to five limbs, chains or forks, mirrored "
         "or not; elliptic and free-form bones, bends, skin over bone, a margin around everything. The held-out "
-        "bodies are drawn by the same law from a seed that no training uses.",
+        "bodies are drawn by the same law from a seed that no training uses. Of three bodies drawn, those are dropped "
+        f"whose hinges are less than {HINGES_APART:g} voxels apart, too near for two motors, or whose bones nearly touch "
+        f"without a common hinge (less than {BONES_APART:g} voxels).",
         _populations({"held-out bodies": card.held_out, **{name: p for name, (p, _) in card.foreign.items()}}),
         "## Bodies of other kinds",
         "Encoded and decoded like the held-out bodies, though no training has seen their kind.",
@@ -130,7 +133,7 @@ def _prior(evaluation: Evaluation) -> str:
     prior = evaluation.prior
     rows = [_row("one connected tree with at least 2 joints", prior.one_tree, "%")]
     if prior.passing.n:
-        rows.append(_row("accepted by the skeleton solver", prior.passing, "%"))
+        rows.append(_row("can be built, by the solvers' fast verdict", prior.passing, "%"))
     counts = sorted({*prior.joint_counts, *prior.tree_joint_counts})
     histogram = [
         ["all"] + [str(prior.joint_counts.get(k, 0)) for k in counts],

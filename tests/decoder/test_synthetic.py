@@ -15,7 +15,7 @@ from decoder.features import features
 from decoder.formulas import Bodies, field
 from decoder.kinematics import is_one_tree, tree_shape
 from decoder.networks import decode, distances, encode, initial, velocity
-from decoder.room import BONES_APART
+from decoder.parts import BONES_APART
 from decoder.synthetic import generator, sample_bodies, sample_designs
 from decoder.trees import all_trees
 
