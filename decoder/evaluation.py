@@ -83,9 +83,8 @@ class Evaluation:
             Bound("axis change per 1 % step, 95 % quantile", 10.0, "at most", i.axis.value, i.axis.n, "°"),
         )
         if p.passing.n:
-            found += (
-                Bound("prior samples that can be built", 65.0, "at least", 100 * p.passing.value, p.passing.n, "%"),
-            )
+            share = 100 * p.passing.value
+            found = (*found, Bound("prior samples that can be built", 65.0, "at least", share, p.passing.n, "%"))
         if self.cost is None:
             return found
         c = self.cost

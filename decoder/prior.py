@@ -87,7 +87,8 @@ def prior_figures(
     counts: Counter[int] = Counter()
     tree_counts: Counter[int] = Counter()
     shapes: Counter[str] = Counter()
-    trees, passing = [], []
+    trees: list[bool] = []
+    passing: list[bool] = []
     for design in designs:
         counts[len(design.joints)] += 1
         trees.append(is_one_tree(design))

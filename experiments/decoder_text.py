@@ -85,9 +85,9 @@ def card_text(card: Card) -> str:
         "## Training distribution",
         "Bodies drawn without end by `decoder/synthetic.py`: a torso with one to five limbs, chains or forks, mirrored "
         "or not; elliptic and free-form bones, bends, skin over bone, a margin around everything. The held-out "
-        "bodies are drawn by the same law from a seed that no training uses. Of three bodies drawn, those are dropped "
-        f"whose hinges are less than {HINGES_APART:g} voxels apart, too near for two motors, or whose bones nearly touch "
-        f"without a common hinge (less than {BONES_APART:g} voxels).",
+        "bodies are drawn by the same law from a seed that no training uses. Bodies are dropped whose hinges are less "
+        f"than {HINGES_APART:g} voxels apart, too near for two motors, or whose bones nearly touch without a common "
+        f"hinge (less than {BONES_APART:g} voxels).",
         _populations({"held-out bodies": card.held_out, **{name: p for name, (p, _) in card.foreign.items()}}),
         "## Bodies of other kinds",
         "Encoded and decoded like the held-out bodies, though no training has seen their kind.",

@@ -62,9 +62,8 @@ def test_hinges_too_near_are_pushed_apart():
     hinge.requires_grad_(True)
     far = 100.0 * torch.arange(8.0)[None, :, None, None].expand(1, 8, 5, 3)
     hinges, bones = shortfalls(Layout(alive, torch.zeros(1, 8, dtype=torch.int64), hinge, far, torch.ones(1, 8, 5)))
-    assert float(hinges.detach().sum()) == pytest.approx(
-        HINGES_APART - 4.0, abs=1e-3
-    )  # the torso has no hinge, each pair counts once
+    # The torso has no hinge, and each pair counts once.
+    assert float(hinges.detach().sum()) == pytest.approx(HINGES_APART - 4.0, abs=1e-3)
     assert float(bones.detach().sum()) == 0.0
     hinges.sum().backward()
     assert hinge.grad is not None
