@@ -18,13 +18,11 @@ from decoder import networks
 from decoder.examples import Examples, examples, seen
 from decoder.linear_start import linear_start
 from decoder.parts import MAX_PARTS, POSE, TOLERANCES, TRUNCATION
-from decoder.room import layout_said, shortfalls
 from decoder.synthetic import generator, sample_bodies
 from decoder.weights import Weights
 
 _LATTICE_TOLERANCE = 0.30  # of a signed distance [voxels],
 _LATTICE_WORTH = 60.0  # as if so many nodes of a lattice were independent
-_ROOM_TOLERANCE = 0.5  # of hinges and bones that are too near each other [voxels]
 _CHOICE_WORTH = 5.0  # of existence and of the carrier, in nats per nat
 _NANS_ALLOWED = 20  # steps in a row without a finite loss
 _PATHS = 4  # of the flow, per body and step
@@ -217,10 +215,10 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def losses(w: dict[str, Tensor], batch: Examples, rng: torch.Generator, pressure: float) -> dict[str, Tensor]:
-    """Negative evidence bound of a batch and its terms, nats per body, and two terms that are no part of it.
+    """Negative evidence bound of a batch and its terms, nats per body; and `flow`, which teaches the flow only.
 
-    `flow` teaches the flow, and it only, the mean velocity of points on straight ways from draws of N(0, I) to draws
-    of the posterior (conditional flow matching). `room` keeps the decoder from cramped bodies where the prior leads.
+    The flow learns the mean velocity of points on straight ways from draws of N(0, I) to draws of the posterior
+    (conditional flow matching).
     """
     mu, spread = networks.encode(w, *seen(batch), torch)
     mu, spread = mu.float(), spread.float()
@@ -250,17 +248,8 @@ def losses(w: dict[str, Tensor], batch: Examples, rng: torch.Generator, pressure
     time = (torch.arange(_PATHS, device=mu.device)[:, None, None] + late) / _PATHS
     found = networks.velocity(w, torch.lerp(start, end, time).flatten(0, 1), time.flatten(0, 1), torch)
     terms["flow"] = 0.5 * (found.float() - (end - start).flatten(0, 1)).square().sum(1).mean()
-    terms["room"] = _cramped(w, noise[1, 0, ::4])
     loss: Tensor = sum(value for name, value in terms.items() if name != "divergence") + pressure * divergence
     return terms | {"loss": loss}
-
-
-def _cramped(w: dict[str, Tensor], z: Tensor) -> Tensor:
-    """How far the bodies of latents z (m, 512) fall short of room for motors and between bones, per body."""
-    with torch.no_grad():
-        raw = networks.carried(w, z, torch)
-    said, _ = networks.decode(w, raw, torch)
-    return torch.stack([_cost(miss / _ROOM_TOLERANCE) for miss in shortfalls(layout_said(said.float()))]).sum() / len(z)
 
 
 def _cost(x: Tensor) -> Tensor:
