@@ -1,4 +1,4 @@
-"""Training the learned decoder: steps on bodies drawn for each, saved and resumed exactly."""
+"""Training the learned decoder, then the flow of its prior: on bodies drawn for every step, resumed exactly."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LATTICE_TOLERANCE = 0.30  # of a signed distance [voxels],
 _LATTICE_WORTH = 60.0  # as if so many nodes of a lattice were independent
 _CHOICE_WORTH = 5.0  # of existence and of the carrier, in nats per nat
 _NANS_ALLOWED = 20  # steps in a row without a finite loss
-_PATHS = 4  # of the flow, per body and step
+_PATHS = 16  # of the flow, per body and step
 _FORMAT = "bodyplan-decoder-checkpoint-1"
 
 
@@ -43,10 +43,11 @@ class Settings:
 
     Attributes:
         seed: of the weights, the bodies and the noise.
-        steps: in all; the learning rate falls to a hundredth of its greatest over them.
+        steps: that encoder and decoder learn in; the learning rate falls to a hundredth of its greatest over them.
+        flow_steps: that the flow learns in afterwards, from what the encoder has become; the rate falls once more.
         batch: bodies per step.
         learning_rate: the greatest.
-        warmup: steps over which it rises.
+        warmup: steps over which it rises, both times.
         ema: decay per step of the running mean of the weights.
         precision: "fp32" or "bf16" for the products of matrices.
         device: "cpu" or "cuda".
@@ -56,6 +57,7 @@ class Settings:
 
     seed: int = 0
     steps: int = 10_000
+    flow_steps: int = 5_000
     batch: int = 64
     learning_rate: float = 1e-3
     warmup: int = 200
@@ -120,8 +122,12 @@ class Training:
         for group in self._optimiser.param_groups:
             group["lr"] = self._learning_rate()
         bf16 = self.settings.precision == "bf16"
+        flowing = self.step >= self.settings.steps
         with torch.autocast(self.settings.device, torch.bfloat16, enabled=bf16):
-            terms = losses(self._arrays, batch, rng, self._pressure())
+            if flowing:
+                terms = flow_losses(self._arrays, self._mean, batch, rng)
+            else:
+                terms = losses(self._arrays, batch, rng, self._pressure())
         total = terms["loss"]
         self._optimiser.zero_grad(set_to_none=True)
         total.backward()
@@ -134,16 +140,19 @@ class Training:
             return {name: float(value.detach()) for name, value in terms.items()}
         self.failures = 0
         self._optimiser.step()
-        decay = min(self.settings.ema, (1 + self.step) / (10 + self.step))
+        done = self.step - flowing * self.settings.steps
+        decay = min(self.settings.ema, (1 + done) / (10 + done))
         with torch.no_grad():
-            names = list(self._arrays)
+            names = [name for name in self._arrays if name.startswith("flow.") == flowing]
             torch._foreach_lerp_([self._mean[n] for n in names], [self._arrays[n] for n in names], 1 - decay)
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": float(norm)}
 
     def _learning_rate(self) -> float:
         s = self.settings
-        rise = min(1.0, (self.step + 1) / max(1, s.warmup))
-        done = min(1.0, max(0.0, (self.step - s.warmup) / max(1, s.steps - s.warmup)))
+        flowing = self.step >= s.steps
+        step, steps = (self.step - s.steps, s.flow_steps) if flowing else (self.step, s.steps)
+        rise = min(1.0, (step + 1) / max(1, s.warmup))
+        done = min(1.0, max(0.0, (step - s.warmup) / max(1, steps - s.warmup)))
         return s.learning_rate * rise * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * done)))
 
     def _pressure(self) -> float:
@@ -215,17 +224,12 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def losses(w: dict[str, Tensor], batch: Examples, rng: torch.Generator, pressure: float) -> dict[str, Tensor]:
-    """Negative evidence bound of a batch and its terms, nats per body; and `flow`, which teaches the flow only.
-
-    The flow learns the mean velocity of points on straight ways from draws of N(0, I) to draws of the posterior
-    (conditional flow matching).
-    """
+    """Negative evidence bound of a batch and its terms, nats per body."""
     mu, spread = networks.encode(w, *seen(batch), torch)
     mu, spread = mu.float(), spread.float()
     divergence = 0.5 * (mu * mu + spread.exp() - 1 - spread).sum(1).mean()
-    width = (0.5 * spread).exp()
-    noise = torch.randn((2, _PATHS, *mu.shape), generator=rng, device=mu.device)
-    said, tokens = networks.decode(w, mu + noise[0, 0] * width, torch)
+    noise = torch.randn(mu.shape, generator=rng, device=mu.device)
+    said, tokens = networks.decode(w, mu + noise * (0.5 * spread).exp(), torch)
     distance = networks.distances(w, tokens, batch.alive, torch)
     said = said.float()
     n = len(mu)
@@ -243,13 +247,27 @@ def losses(w: dict[str, Tensor], batch: Examples, rng: torch.Generator, pressure
     weighted = (near * miss).view(len(truth), 2, -1).sum(2) / near.view(len(truth), 2, -1).sum(2)
     terms["surface"] = _LATTICE_WORTH * weighted.sum() / n
     terms["divergence"] = divergence
-    start, end = noise[1], mu.detach() + noise[0] * width.detach()
+    loss: Tensor = sum(value for name, value in terms.items() if name != "divergence") + pressure * divergence
+    return terms | {"loss": loss}
+
+
+def flow_losses(
+    w: dict[str, Tensor], encoder: dict[str, Tensor], batch: Examples, rng: torch.Generator
+) -> dict[str, Tensor]:
+    """Half the square by which the flow misses the velocity of points on their ways, per body.
+
+    Ways are straight, from draws of N(0, I) to draws of the posterior; the flow that misses least on average carries
+    the one law to the other (conditional flow matching, Lipman et al. 2023).
+    """
+    with torch.no_grad():
+        mu, spread = (each.float() for each in networks.encode(encoder, *seen(batch), torch))
+    start, noise = torch.randn((2, _PATHS, *mu.shape), generator=rng, device=mu.device)
+    end = mu + noise * (0.5 * spread).exp()
     late = torch.rand((_PATHS, len(mu), 1), generator=rng, device=mu.device)
     time = (torch.arange(_PATHS, device=mu.device)[:, None, None] + late) / _PATHS
     found = networks.velocity(w, torch.lerp(start, end, time).flatten(0, 1), time.flatten(0, 1), torch)
-    terms["flow"] = 0.5 * (found.float() - (end - start).flatten(0, 1)).square().sum(1).mean()
-    loss: Tensor = sum(value for name, value in terms.items() if name != "divergence") + pressure * divergence
-    return terms | {"loss": loss}
+    miss = 0.5 * (found.float() - (end - start).flatten(0, 1)).square().sum(1).mean()
+    return {"flow": miss, "loss": miss}
 
 
 def _cost(x: Tensor) -> Tensor:

@@ -37,7 +37,8 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
         kind: "train-decoder".
         seed: of everything random.
         start: "shipped" goes on from the weights of the package where there are some, "scratch" from nothing.
-        steps: of the optimiser, in all; the learning rate falls towards the last.
+        steps: of the optimiser for encoder and decoder; the learning rate falls towards the last.
+        flow_steps: after those, for the flow of the prior; once more the learning rate falls towards the last.
         batch: bodies per step.
         learning_rate: the greatest.
         warmup: steps over which the learning rate rises.
@@ -57,6 +58,7 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
     seed: Seed = 0
     start: Literal["shipped", "scratch"] = "shipped"
     steps: Annotated[int, Meta(ge=1, le=100_000_000)] = 10_000
+    flow_steps: Annotated[int, Meta(ge=0, le=100_000_000)] = 5_000
     batch: Annotated[int, Meta(ge=1, le=65_536)] = 16
     learning_rate: Annotated[float, Meta(gt=0.0, le=1.0)] = 5e-4
     warmup: Annotated[int, Meta(ge=0, le=1_000_000)] = 200
@@ -69,6 +71,11 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
     evaluate_every: Annotated[int, Meta(ge=1, le=10_000_000)] = 500
     evaluate_bodies: Annotated[int, Meta(ge=1, le=10_000)] = 16
     evaluation: Evaluation = Evaluation()
+
+    @property
+    def last_step(self) -> int:
+        """Of both."""
+        return self.steps + self.flow_steps
 
 
 def load_decoder_config(path: Path) -> TrainDecoder:

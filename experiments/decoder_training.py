@@ -109,12 +109,12 @@ def train(config: TrainDecoder, folder: Path, stop: Stop, measure: Measure) -> t
         raise BadInput(str(error)) from None
     keep_config(config, folder)
     sitting = _Sitting(config, folder, training, mark, measure)
-    if mark.step == config.steps:
+    if mark.step == config.last_step:
         return training, mark
-    say(f"{config.steps - mark.step} steps to go of {config.batch} bodies each, {mark.precision} on {mark.machine}")
+    say(f"{config.last_step - mark.step} steps to go of {config.batch} bodies each, {mark.precision} on {mark.machine}")
     try:
         with event_file(folder / EVENTS, mark.step) as log:
-            for _ in progress(sitting.steps(log), config.steps - mark.step, "training"):
+            for _ in progress(sitting.steps(log), config.last_step - mark.step, "training"):
                 if stop.now():
                     break
     except Diverged as error:
@@ -139,7 +139,7 @@ class _Sitting:
 
     def steps(self, log: Events) -> Iterator[int]:
         """Take the steps that are missing, one at a time."""
-        while self.training.step < self.config.steps:
+        while self.training.step < self.config.last_step:
             self.step(log)
             yield self.training.step
 
@@ -164,7 +164,7 @@ class _Sitting:
         if done % LOG_EVERY == 0:
             log(done, {f"loss/{name}": value for name, value in _means(self.recent).items()})
             self.recent.clear()
-        if done % config.evaluate_every == 0 or done == config.steps:
+        if done % config.evaluate_every == 0 or done in (config.steps, config.last_step):
             figures = dict(self.measure(self.training))
             log(done, {f"held_out/{name}": value for name, value in figures.items() if math.isfinite(value)})
             losses = {f"loss_{name}": value for name, value in _means(self.since_row).items()}
@@ -277,6 +277,7 @@ def _settings(config: TrainDecoder, device: str, precision: str, threads: int) -
     return Settings(
         seed=config.seed,
         steps=config.steps,
+        flow_steps=config.flow_steps,
         batch=config.batch,
         learning_rate=config.learning_rate,
         warmup=config.warmup,

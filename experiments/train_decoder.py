@@ -97,9 +97,10 @@ def _train(config: TrainDecoder, folder: Path, args: argparse.Namespace, again: 
             held_out = HeldOut(config)
             training, mark = train(config, folder, stop, held_out)
             result = _told(config, folder, mark)
-            if mark.step < config.steps:
+            if mark.step < config.last_step:
                 why = "stopped" if stop.signalled else f"{args.seconds:g} s are over"
-                say(f"bodyplan: {why} at step {mark.step} of {config.steps}; everything is saved. Go on with: {again}")
+                where = f"step {mark.step} of {config.last_step}"
+                say(f"bodyplan: {why} at {where}; everything is saved. Go on with: {again}")
                 return result
             if stop.signalled or held_out.closing_seconds(1 + args.ship) > max(stop.left(), 0.0):
                 say(f"bodyplan: trained; what is left is to measure the weights. Go on with: {again}")
@@ -121,7 +122,7 @@ def _told(config: TrainDecoder, folder: Path, mark: Mark) -> dict[str, Any]:
         "out": str(folder),
         "finished": False,
         "step": mark.step,
-        "steps": config.steps,
+        "steps": config.last_step,
         "seconds": round(mark.seconds, 1),
         "bodies": mark.bodies,
         "skipped": mark.skipped,

@@ -38,6 +38,7 @@ BODIES = 3
 class Settings:
     seed: int
     steps: int
+    flow_steps: int
     batch: int
     learning_rate: float
     warmup: int
@@ -121,8 +122,8 @@ def fake(monkeypatch):
 
 
 def config(**changes):
-    few = {"start": "scratch", "device": "cpu", "threads": 1, "steps": 20, "batch": BODIES, "checkpoint_every": 4,
-           "evaluate_every": 6, "warmup": 2}  # fmt: skip
+    few = {"start": "scratch", "device": "cpu", "threads": 1, "steps": 18, "flow_steps": 2, "batch": BODIES,
+           "checkpoint_every": 4, "evaluate_every": 6, "warmup": 2}  # fmt: skip
     return TrainDecoder("train-decoder", **(few | changes))
 
 
@@ -344,7 +345,7 @@ def test_a_training_that_diverges_is_one_line_that_names_what_is_left(fake, tmp_
 
 def test_sittings_of_the_real_training_add_up(tmp_path):
     pytest.importorskip("decoder.training")
-    few = config(steps=4, batch=2, checkpoint_every=2, evaluate_every=4)
+    few = config(steps=3, flow_steps=1, batch=2, checkpoint_every=2, evaluate_every=4)
     whole, _ = sit(few, tmp_path / "whole", figures=lambda _: {})
     sit(few, tmp_path / "cut", stop_after=1, figures=lambda _: {})
     parts, mark = sit(few, tmp_path / "cut", figures=lambda _: {})
