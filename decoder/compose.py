@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decoder.design import GRID, Material, quantised
+from decoder.parts import BONES_APART
 from decoder.rasterise import COAT, FAR, MARGIN, Floats, smooth_min
 
 BLEND = 2.0  # width over which linked bones melt together [voxels]
 GAP = 2.5  # width of the cleft between the skins of parts without a common joint [voxels]
-BONE_GAP = 1.5  # and between their bones
 _SLIVER = 0.3  # pieces of a bone smaller than this share of its largest are dropped
 
 
@@ -86,7 +86,7 @@ def compose(
                     melted[region], smooth_min(windows[i].bone[mine], windows[j].bone[other], BLEND)
                 )
             else:
-                for cleft, of, nearest, gap in ((crack, [w.bone for w in windows], bone, BONE_GAP),
+                for cleft, of, nearest, gap in ((crack, [w.bone for w in windows], bone, BONES_APART),
                                                 (slit, skins, skin, GAP)):  # fmt: skip
                     a, b = of[i][mine], of[j][other]
                     beyond = np.where(np.minimum(a, b) <= nearest[region], (np.abs(a - b) - np.float32(gap)) / 2, FAR)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -49,10 +49,6 @@ class Examples:
     pose: Tensor
     occupancy: Tensor
     distance: Tensor
-
-    def to(self, device: str | torch.device) -> Examples:
-        """The same on another device."""
-        return Examples(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
 
 def examples(bodies: Bodies) -> Examples:
@@ -160,7 +156,7 @@ class _Parts:
         `near` nodes nearest to each hinge and -1000 elsewhere.
 
         Args:
-            origin: where node 0 of each part lies in the grid, (p, 3).
+            origin: where coordinates (0, 0, 0) of each part lie in the grid, (p, 3).
             axes: columns are the steps of a node's coordinates, (p, 3, 3).
             nodes: coordinates, (3, m).
             near: how many nodes around a hinge.

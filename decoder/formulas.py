@@ -7,11 +7,13 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-COAT = 0.7  # least soft tissue over a bone [voxels]
+from decoder.rasterise import COAT
+
 BLOBS = 2  # balls blended into one bone
 BLEND = 2.0  # over this width [voxels]
 BONE_TERMS, SKIN_TERMS = 19, 9  # polynomials of degree 1-3 and 1-2
 LIMIT = 2.0  # of a free-form displacement [voxels]
+ODD_ACROSS = (0, 6, 7, 9, 14, 16, 18)  # terms of `_terms` odd in the first coordinate: a, ab, ac, a3, b2 a, c2 a, abc
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +66,21 @@ class Bodies:
         return Bodies(**moved)
 
     def pick(self, *index: Tensor) -> Bodies:
-        """Some parts by a mask or by indices; their parents are no longer meant."""
+        """Some bodies, or some parts by two indices; the parents of single parts are no longer meant."""
         return Bodies(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
 def gathered(values: Tensor, index: Tensor) -> Tensor:
     """Rows of (n, 8, ...) in the order of `index` (n, 8)."""
     return values[torch.arange(len(index), device=index.device)[:, None], index]
+
+
+def boxes(bodies: Bodies, room: float) -> tuple[Tensor, Tensor]:
+    """Lowest and highest corner of a box around every part with its skin and some room, (n, 8, 3) each [voxels]."""
+    end = bodies.start + bodies.length[..., None] * bodies.frame[..., 2]
+    wide = torch.cat([(bodies.half[..., :2] * bodies.taper.clamp(min=1.0)[..., None]), bodies.half[..., 2:]], 2)
+    reach = torch.einsum("nkij,nkj->nki", bodies.frame.abs(), wide) + (bodies.thickness + room)[..., None]
+    return torch.minimum(bodies.start, end) - reach, torch.maximum(bodies.start, end) + reach
 
 
 def field(parts: Bodies, points: Tensor) -> tuple[Tensor, Tensor]:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from decoder.formulas import BLOBS, BONE_TERMS, SKIN_TERMS, Bodies, gathered
-from decoder.trees import MAX_PARTS, all_trees
+from decoder.formulas import BLOBS, BONE_TERMS, ODD_ACROSS, SKIN_TERMS, Bodies, boxes, gathered
+from decoder.parts import MAX_PARTS, MIDDLE
+from decoder.trees import all_trees
 
-GRID_MIDDLE = 32.0
 ROOM = 58.0  # largest extent of a body [voxels]; the rest of the 64 is margin
 CAP = 3.0  # length of the rounded ends of a limb bone [voxels]
 BONE_ROUGHNESS, SKIN_ROUGHNESS = 0.55, 0.7  # standard deviation of one surface's free-form displacement [voxels]
@@ -148,10 +148,6 @@ def grown(n: int, rng: torch.Generator) -> Bodies:
     return _placed(_symmetrised(bodies, tree["twin"], planar))
 
 
-_ODD_ACROSS = (0, 6, 7, 9, 14, 16, 18)
-"""Positions of the terms that are odd in the first coordinate: a, ab, ac, a3, b2 a, c2 a, abc."""
-
-
 def _free_form(half: Tensor, span: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
     """Balls on the bones, and coefficients of the two displacements."""
     n, device = len(half), half.device
@@ -185,7 +181,7 @@ def _symmetrised(bodies: Bodies, twin: Tensor, planar: Tensor) -> Bodies:
     bone, skin, blobs = (copied[name].clone() for name in ("bone_form", "skin_form", "blobs"))
     flat = planar[..., None]
     odd = torch.zeros(BONE_TERMS, dtype=torch.bool, device=twin.device)
-    odd[list(_ODD_ACROSS)] = True
+    odd[list(ODD_ACROSS)] = True
     bone = torch.where(flat & odd, 0.0, bone)
     skin = torch.where(flat & odd[:SKIN_TERMS], 0.0, skin)
     image = blobs[:, :, 0] * torch.tensor([-1.0, 1.0, 1.0, 1.0], device=twin.device)
@@ -195,16 +191,12 @@ def _symmetrised(bodies: Bodies, twin: Tensor, planar: Tensor) -> Bodies:
 
 def _placed(bodies: Bodies) -> Bodies:
     """Centre every body in the grid and shrink the ones that are too large for it."""
-    end = bodies.start + bodies.length[..., None] * bodies.frame[..., 2]
-    wide = torch.cat([(bodies.half[..., :2] * bodies.taper.clamp(min=1.0)[..., None]), bodies.half[..., 2:]], 2)
-    reach = torch.einsum("nkij,nkj->nki", bodies.frame.abs(), wide) + (bodies.thickness + 1.0)[..., None]
+    low, high = boxes(bodies, 1.0)
     hidden = ~bodies.alive[..., None]
-    low = torch.minimum(bodies.start, end) - reach
-    high = torch.maximum(bodies.start, end) + reach
     low = low.masked_fill(hidden, math.inf).amin(1)
     high = high.masked_fill(hidden, -math.inf).amax(1)
     scale = (ROOM / (high - low).amax(1)).clamp(max=1.0)[:, None, None]
-    shift = GRID_MIDDLE - scale * (0.5 * (low + high))[:, None]
+    shift = MIDDLE - scale * (0.5 * (low + high))[:, None]
     return replace(
         bodies,
         position=bodies.position * scale + shift,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ _WIDTH_OF_POSTERIOR = 0.12  # at first, in standard deviations of a latent
 _SURE = 4.0  # log odds that a choice begins with
 
 
+@lru_cache(maxsize=1)
 def linear_start(seed: int, bodies: int) -> dict[str, NDArray[np.float32]]:
     """Weights whose layers do nothing yet and whose linear maps are those of principal components.
 

@@ -123,8 +123,8 @@ def decode(w: Arrays, latent: Any, xp: ModuleType) -> tuple[Any, Any]:
 
 def distances(w: Arrays, tokens: Any, alive: Any, xp: ModuleType) -> Any:
     """Distances over the truncation (p, 4608) in the p parts of `tokens` (n, 8, WIDTH) that `alive` (n, 8) names."""
-    place = xp.where(alive)[1]
-    return tokens[alive] @ w["said.lattices"] + w["said.lattices_bias"][place]
+    bias = xp.broadcast_to(w["said.lattices_bias"], (len(tokens), MAX_PARTS, LATTICES))
+    return tokens[alive] @ w["said.lattices"] + bias[alive]
 
 
 def _layer(w: Arrays, name: str, x: Any, xp: ModuleType) -> Any:
@@ -158,10 +158,10 @@ def velocity(w: Arrays, x: Any, t: Any, xp: ModuleType) -> Any:
     return hidden @ w["flow.out"]
 
 
-def carried(w: Arrays, z: Any, xp: ModuleType) -> Any:
+def carried(w: Arrays, z: NDArray[np.float32]) -> NDArray[np.float32]:
     """Raw latents of z (n, 512), which follows N(0, I): Euler's rule, with the velocity of the middle of each step."""
     for k in range(FLOW_STEPS):
-        z = z + _step(w, z, k, xp)
+        z = z + _step(w, z, k)
     return z
 
 
@@ -170,12 +170,13 @@ def carried_back(w: Arrays, x: NDArray[np.float32]) -> NDArray[np.float32]:
     for k in reversed(range(FLOW_STEPS)):
         z = x
         for _ in range(_ROUNDS):
-            z, before = x - _step(w, z, k, np), z
+            z, before = x - _step(w, z, k), z
             if np.abs(z - before).max(initial=0.0) < _SETTLED:
                 break
         x = z
     return x
 
 
-def _step(w: Arrays, x: Any, k: int, xp: ModuleType) -> Any:
-    return velocity(w, x, xp.full_like(x[:, :1], (k + 0.5) / FLOW_STEPS), xp) / FLOW_STEPS
+def _step(w: Arrays, x: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+    move: NDArray[np.float32] = velocity(w, x, np.full_like(x[:, :1], (k + 0.5) / FLOW_STEPS), np) / FLOW_STEPS
+    return move

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from decoder.compose import Window, centres, compose, window_of
 from decoder.design import DEFAULT_PITCH, Joint, VoxelDesign
-from decoder.formulas import LIMIT, Bodies, field
+from decoder.formulas import LIMIT, Bodies, boxes, field
 from decoder.growth import grown
-from decoder.room import layout_of, shortfalls
+from decoder.room import shortfalls
 
 _CANDIDATES, _LEAST_CANDIDATES = 3, 12  # bodies drawn for each that is taken, and for a call
 
@@ -23,7 +23,7 @@ def sample_bodies(n: int, rng: torch.Generator) -> Bodies:
     without a common hinge keep apart.
     """
     drawn = grown(max(_CANDIDATES * n, _LEAST_CANDIDATES), rng)
-    hinges, bones = shortfalls(layout_of(drawn))
+    hinges, bones = shortfalls(drawn)
     cramped = torch.maximum(hinges, bones).amax(dim=(1, 2))
     return drawn.pick(torch.sort(cramped, stable=True).indices[:n])
 
@@ -42,10 +42,7 @@ def sample_designs(n: int, seed: int) -> list[VoxelDesign]:
 
 def _design(bodies: Bodies) -> VoxelDesign:
     count = int(bodies.alive[0].sum())
-    wide = torch.cat([(bodies.half[..., :2] * bodies.taper.clamp(min=1.0)[..., None]), bodies.half[..., 2:]], 2)
-    reach = torch.einsum("nkij,nkj->nki", bodies.frame.abs(), wide) + (bodies.thickness + 2 * LIMIT + 1)[..., None]
-    end = bodies.start + bodies.length[..., None] * bodies.frame[..., 2]
-    low, high = torch.minimum(bodies.start, end) - reach, torch.maximum(bodies.start, end) + reach
+    low, high = boxes(bodies, 2 * LIMIT + 1)
     windows = []
     for k in range(count):
         first, size = window_of(low[0, k].numpy(), high[0, k].numpy())

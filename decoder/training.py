@@ -59,7 +59,7 @@ class Settings:
     steps: int = 10_000
     flow_steps: int = 5_000
     batch: int = 64
-    learning_rate: float = 1e-3
+    learning_rate: float = 8e-4
     warmup: int = 200
     ema: float = 0.999
     precision: str = "fp32"

@@ -10,7 +10,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_PARTS = 8
+from decoder.parts import MAX_PARTS
+
 MAX_LIMBS = 5
 _SEGMENT_ODDS = {3: 0.13, 4: 0.17, 5: 0.21, 6: 0.20, 7: 0.17, 8: 0.12}
 _LIMB_ODDS = {1: 0.10, 2: 0.20, 3: 0.26, 4: 0.30, 5: 0.14}

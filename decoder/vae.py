@@ -132,7 +132,7 @@ class VaeDecoder:
         w = self._arrays
         # Beyond some ten standard deviations the network was never looked at; it still has to answer with numbers.
         z = np.clip(latent.astype(np.float64), -30.0, 30.0).astype(np.float32)
-        said, tokens = networks.decode(w, networks.carried(w, z[None], np), np)
+        said, tokens = networks.decode(w, networks.carried(w, z[None]), np)
         # Rounded, so that the last bits of a sum, which differ from machine to machine, seldom reach a voxel.
         said = np.round(said[0].astype(np.float64), 5)
         carrier = {0: 0}
@@ -244,7 +244,7 @@ def _window(part: Part) -> Window:
 
 def _geometric_axis(part: Part, before: Part) -> NDArray[np.float64]:
     """Hinge axis across both parts, or level across the one when they are in line."""
-    along = before.frame[:, 2] if before.carrier or before.hinge is not before.centre else np.array([1.0, 0.0, 0.0])
+    along = before.frame[:, 2]
     for other in (along, np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])):
         axis = np.cross(other, part.frame[:, 2])
         length = float(np.linalg.norm(axis))

@@ -59,8 +59,8 @@ class TrainDecoder(Struct, frozen=True, forbid_unknown_fields=True):
     start: Literal["shipped", "scratch"] = "shipped"
     steps: Annotated[int, Meta(ge=1, le=100_000_000)] = 10_000
     flow_steps: Annotated[int, Meta(ge=0, le=100_000_000)] = 5_000
-    batch: Annotated[int, Meta(ge=1, le=65_536)] = 16
-    learning_rate: Annotated[float, Meta(gt=0.0, le=1.0)] = 5e-4
+    batch: Annotated[int, Meta(ge=1, le=65_536)] = 64
+    learning_rate: Annotated[float, Meta(gt=0.0, le=1.0)] = 8e-4
     warmup: Annotated[int, Meta(ge=0, le=1_000_000)] = 200
     ema: Annotated[float, Meta(ge=0.0, le=0.999999)] = 0.999
     start_bodies: Annotated[int, Meta(ge=0, le=100_000)] = 2048
@@ -96,6 +96,7 @@ def load_decoder_config(path: Path) -> TrainDecoder:
     config = checked(document, TrainDecoder, str(path))
     if config.seed in (CURVE_SEED, HELD_OUT_SEED):
         raise BadInput(f"{path}: seed = {config.seed}; that seed is kept for held-out bodies: choose another")
-    if config.warmup >= config.steps > 1:
-        raise BadInput(f"{path}: warmup = {config.warmup}; it must be less than steps = {config.steps}")
+    for name, steps in (("steps", config.steps), ("flow_steps", config.flow_steps)):
+        if config.warmup >= steps > 1:
+            raise BadInput(f"{path}: warmup = {config.warmup}; it must be less than {name} = {steps}")
     return config

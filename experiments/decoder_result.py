@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from decoder.weights import Weights
 
 CURVE_PAIRS = 1  # of latents to interpolate between, for one row of the curve
+_JUDGING = 5  # times as long as decoding it takes to judge whether a body can be built
 PAIRS, WALK = 24, 101  # the same for the closing evaluation, and bodies per pair
 CARD, PICTURES = "MODEL_CARD.md", "pictures"
 
@@ -62,8 +63,11 @@ class HeldOut:
 
         So a sitting that finds the training done always measures, however short it is.
         """
+        from decoder.prior import JUDGED
+
         closing = self.config.evaluation
-        return (self.seconds_per_body or 0.0) * sets * _load(closing.bodies, closing.samples, PAIRS)
+        judged = _JUDGING * min(closing.samples, JUDGED)
+        return (self.seconds_per_body or 0.0) * sets * (judged + _load(closing.bodies, closing.samples, PAIRS))
 
 
 def codec_of(weights: Weights) -> Codec:
@@ -96,6 +100,7 @@ def figures_of(found: Evaluation) -> dict[str, float]:
         "range_error_deg": r.range_error.value,
         "latent_power": r.latent_power.value,
         "prior_one_tree": p.one_tree.value,
+        "prior_buildable": p.passing.value,
         "prior_joint_counts": float(len(p.tree_joint_counts)),
         "prior_tree_shapes": float(len(p.tree_shapes)),
         "step_axis_p95_deg": i.axis.value,
@@ -181,7 +186,10 @@ def _card(path: Path, out: Path | None, bodies: int, samples: int, curve: bytes 
 
 def about_of(config: TrainDecoder, mark: Mark) -> dict[str, str]:
     """What the weights say about themselves; counts include the trainings that they went on from."""
+    from decoder.networks import ARCHITECTURE
+
     return {
+        "architecture": ARCHITECTURE,
         "bodies_seen": str(mark.earlier_bodies + mark.bodies),
         "steps": str(mark.earlier_steps + mark.step),
         "seconds_of_training": f"{mark.earlier_seconds + mark.seconds:.0f}",

@@ -183,6 +183,7 @@ class _Sitting:
 
 def _ready(config: TrainDecoder, folder: Path) -> tuple[Training, Mark]:
     """The training as the last sitting left it, or a new one."""
+    from decoder import networks
     from decoder.training import Training
     from decoder.weights import SHIPPED, load_weights
 
@@ -191,7 +192,7 @@ def _ready(config: TrainDecoder, folder: Path) -> tuple[Training, Mark]:
     threads = config.threads or cores()
     if found is not None:
         path, then = found
-        keep = config.precision == "auto" and device == then.device
+        keep = config.precision in ("auto", then.precision) and device == then.device
         precision = then.precision if keep else _precision(config, device, threads, None)
         mark = dataclasses.replace(then, device=device, precision=precision, threads=threads, machine=machine)
         tell_differences(then, mark)
@@ -203,7 +204,7 @@ def _ready(config: TrainDecoder, folder: Path) -> tuple[Training, Mark]:
     weights = None
     if config.start == "shipped":
         if SHIPPED.exists():
-            weights = load_weights(SHIPPED)
+            weights = load_weights(SHIPPED, networks.shapes)
         else:
             say(f"note: {SHIPPED} is not there to go on from, so this training starts from scratch")
     precision = _precision(config, device, threads, weights)

@@ -14,7 +14,7 @@ from decoder.evaluation import Cost, Evaluation, evaluate
 from decoder.figures import better
 from decoder.genome import GenomeDecoder
 from decoder.latent import LATENT_DIM, sample_latents
-from decoder.prior import arc, interpolation_figures, prior_figures
+from decoder.prior import JUDGED, arc, interpolation_figures, prior_figures
 from decoder.reconstruction import Copy, reconstruction_figures
 
 T = TypeVar("T")
@@ -129,6 +129,12 @@ def test_the_prior_counts_joints_and_shapes_of_trees_only() -> None:
     assert prior.joint_counts == {0: 1, 1: 1, 2: 3, 3: 1}
     assert prior.tree_joint_counts == {2: 2, 3: 1}
     assert list(prior.tree_shapes.items()) == [("(()())", 2), ("((())())", 1)]
+
+
+def test_no_more_bodies_are_judged_than_need_be() -> None:
+    asked = []
+    prior = prior_figures([segments(3)] * (JUDGED + 20), SEED, passes=lambda design: bool(asked.append(design)))
+    assert (prior.n, prior.passing.n, len(asked)) == (JUDGED + 20, JUDGED, JUDGED)
 
 
 def test_steps_that_change_the_tree_are_counted_and_not_compared() -> None:

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import cKDTree
 
 from decoder.design import Material
 from decoder.examples import examples, seen
@@ -15,7 +14,6 @@ from decoder.features import features
 from decoder.formulas import Bodies, field
 from decoder.kinematics import is_one_tree, tree_shape
 from decoder.networks import decode, distances, encode, initial, velocity
-from decoder.parts import BONES_APART
 from decoder.synthetic import generator, sample_bodies, sample_designs
 from decoder.trees import all_trees
 
@@ -111,19 +109,6 @@ def test_the_field_of_a_round_torso_is_its_distance(bodies: Bodies):
     distance = (points - values["start"][:, None]).norm(dim=2)
     assert torch.allclose(bone, distance - 6.0, atol=1e-3)
     assert torch.allclose(skin, distance - 8.5, atol=1e-3)
-
-
-def test_bones_without_a_common_hinge_seldom_meet():
-    """Measured on the voxels; the choice among bodies is made on balls that stand for bones."""
-    close = 0
-    for design in sample_designs(24, 5):
-        linked = {frozenset((j.parent, j.child)) for j in design.joints}
-        bones = {s: np.argwhere((design.segment == s) & (design.material == Material.RIGID)) for s in design.segments}
-        close += any(
-            cKDTree(bones[a]).query(bones[b])[0].min() < BONES_APART
-            for a in bones for b in bones if a < b and frozenset((a, b)) not in linked
-        )  # fmt: skip
-    assert close <= 3
 
 
 def test_a_design_is_seen_as_the_formulas_of_its_body_say():
