@@ -164,7 +164,7 @@ class _Sitting:
         if done % LOG_EVERY == 0:
             log(done, {f"loss/{name}": value for name, value in _means(self.recent).items()})
             self.recent.clear()
-        if done % config.evaluate_every == 0 or done in (config.steps, config.last_step):
+        if done % config.evaluate_every == 0 or done == config.last_step:
             figures = dict(self.measure(self.training))
             log(done, {f"held_out/{name}": value for name, value in figures.items() if math.isfinite(value)})
             losses = {f"loss_{name}": value for name, value in _means(self.since_row).items()}

@@ -118,12 +118,13 @@ def fake(monkeypatch):
     """The training of sixteen numbers in the place of the real one."""
     made = stand_in()
     monkeypatch.setitem(sys.modules, "decoder.training", made)
+    monkeypatch.setattr("decoder.networks.shapes", lambda _: {"numbers": (16,)})
     return made.Training
 
 
 def config(**changes):
     few = {"start": "scratch", "device": "cpu", "threads": 1, "steps": 18, "flow_steps": 2, "batch": BODIES,
-           "checkpoint_every": 4, "evaluate_every": 6, "warmup": 2}  # fmt: skip
+           "checkpoint_every": 4, "evaluate_every": 6, "warmup": 1}  # fmt: skip
     return TrainDecoder("train-decoder", **(few | changes))
 
 
