@@ -3,71 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from decoder import networks
-from decoder.compose import Window, centres, compose, window_of
+from decoder.compose import compose
 from decoder.design import DEFAULT_PITCH, Joint, Material, VoxelDesign
 from decoder.features import features
 from decoder.genome import LATENT_DIM
-from decoder.parts import (
-    ATTACH,
-    DIRECTION,
-    DISTANCE,
-    LATTICE,
-    MAX_PARTS,
-    MIDDLE,
-    POSE,
-    RANGE,
-    REACH,
-    SPREAD,
-    TENSOR,
-    TRUNCATION,
-    axis_of,
-    box_of,
-    frames_along,
-    torso_frame,
-)
-from decoder.rasterise import FAR
+from decoder.parts import LATTICE, MAX_PARTS, POSE, TRUNCATION
+from decoder.placing import Part, geometric_axis, hung, torso, window
 from decoder.weights import Weights, WeightsError
 
 _GUESS = 0.15  # an axis of less confidence is read from the geometry instead
-_LEAST_REACH = 0.1  # of a hinge either way [rad]
-_GAP = 0.9  # between bones that meet at a hinge, at most [voxels]; they melt together over so much
-_PUSHES = 4  # at most, until they do
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """One part as the network says it; lengths in voxels, positions in the grid.
-
-    Attributes:
-        carrier: index of the part that carries this one.
-        centre: (3,).
-        frame: columns across, across and along, (3, 3).
-        box: half sides, (3,).
-        hinge: a point on the hinge towards the carrier, (3,).
-        axis: unit vector of the hinge, (3,).
-        confidence: in that axis, 0 to 1.
-        range: least and greatest angle [rad], (2,).
-        distance: of bone and skin at the nodes of its lattice, (2, 12, 12, 16).
-    """
-
-    carrier: int
-    centre: NDArray[np.float64]
-    frame: NDArray[np.float64]
-    box: NDArray[np.float64]
-    hinge: NDArray[np.float64]
-    axis: NDArray[np.float64]
-    confidence: float
-    range: NDArray[np.float64]
-    distance: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -75,8 +27,8 @@ class VaeDecoder:
     """Decode z in R^512 by the trained network, and encode designs.
 
     A flow carries z to the raw latent that the network reads, such that z ~ N(0, I) is the law of the bodies it was
-    trained on and the one to search under. Parts exist where the network says so with
-    odds above one half, in a tree by construction: each is carried by an earlier one. Whether the body can be built is
+    trained on and the one to search under. Parts exist where the network says so with odds above one half, in a tree by
+    construction: each is carried by an earlier one, and their bones are made to meet. Whether the body can be built is
     for solvers to say.
 
     Attributes:
@@ -145,14 +97,14 @@ class VaeDecoder:
         distance = networks.distances(w, tokens, alive, np).reshape(-1, 2, *LATTICE)
         lattices = np.round(distance * np.float32(TRUNCATION), 4)
         place = {k: index for index, k in enumerate(carrier)}
-        parts = [_torso(said[0, -POSE:], lattices[0])]
+        parts = [torso(said[0, -POSE:], lattices[0])]
         for k, before in list(carrier.items())[1:]:
             carrying = parts[place[before]]
-            parts.append(_seated(_part(said[k, -POSE:], lattices[place[k]], carrying, place[before]), carrying))
+            parts.append(hung(said[k, -POSE:], lattices[place[k]], carrying, place[before]))
         return parts
 
     def _design(self, parts: list[Part]) -> VoxelDesign:
-        windows = [_window(part) for part in parts]
+        windows = [window(part) for part in parts]
         linked = {(part.carrier, k) for k, part in enumerate(parts) if k}
         material, segment, depth = compose(windows, linked)
         if not (material == Material.RIGID).any():
@@ -165,92 +117,10 @@ class VaeDecoder:
             if k and {k + 1, part.carrier + 1} <= present:
                 axis, confidence = part.axis, part.confidence
                 if confidence < _GUESS:
-                    axis = _geometric_axis(part, parts[part.carrier])
+                    axis = geometric_axis(part, parts[part.carrier])
                 position = np.clip(part.hinge, low, high) * self.pitch
                 joints.append(Joint(position, axis, part.range, part.carrier + 1, k + 1, confidence))
         return VoxelDesign(material, segment, self.pitch, tuple(joints), depth)
-
-
-def _torso(pose: NDArray[np.float64], distance: NDArray[np.float32]) -> Part:
-    """Put the part that nothing carries where its pose says."""
-    centre = MIDDLE + REACH * np.clip(pose[ATTACH], -1.6, 1.6)
-    return Part(0, centre, torso_frame().astype(np.float64), _box(pose), centre, np.array([0.0, 1.0, 0.0]), 1.0,
-                np.array([-1.0, 1.0]), distance)  # fmt: skip
-
-
-def _part(pose: NDArray[np.float64], distance: NDArray[np.float32], before: Part, carrier: int) -> Part:
-    """Put one part where its pose says, on the part that carries it."""
-    hinge = before.centre + before.frame @ (before.box * np.clip(pose[ATTACH], -1.2, 1.2))
-    length = float(np.linalg.norm(pose[DIRECTION]))
-    direction = pose[DIRECTION] / length if length > 1e-3 else np.array([0.0, 0.0, -1.0])
-    frame = frames_along(direction, np)
-    axis, confidence = axis_of(pose[TENSOR])
-    centre = hinge + 8.0 * float(np.exp(np.clip(pose[DISTANCE][0], -2.0, 1.2))) * direction
-    axis = frame @ axis
-    reach = np.array([np.clip(pose[RANGE][0], -np.pi, -_LEAST_REACH), np.clip(pose[RANGE][1], _LEAST_REACH, np.pi)])
-    return Part(carrier, centre, frame, _box(pose), hinge, axis / np.linalg.norm(axis), confidence, reach, distance)
-
-
-def _box(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    return box_of(3.0 * np.exp(np.clip(pose[SPREAD], -1.5, 1.5)))
-
-
-def _seated(part: Part, before: Part) -> Part:
-    """Push a part, hinge and all, towards the one that carries it until their bones are at most `_GAP` apart.
-
-    Bones meet at a hinge in every body that was learned from; a latent in between may leave a gap. It is measured on
-    the way from centre to centre over the hinge, where it is narrowest.
-    """
-    for _ in range(_PUSHES):
-        way = np.concatenate([_points_between(before.centre, part.hinge), _points_between(part.hinge, part.centre)])
-        gap = 2.0 * float(np.maximum(_bone_at(before, way), _bone_at(part, way)).min())
-        inwards = before.centre - part.hinge
-        far = float(np.linalg.norm(inwards))
-        if gap <= _GAP or far < 1.0:
-            break
-        push = min(gap - _GAP, far) / far * inwards
-        part = replace(part, centre=part.centre + push, hinge=part.hinge + push)
-    return part
-
-
-def _points_between(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (24, 3) in equal steps from one to the other."""
-    return start + np.linspace(0.0, 1.0, 24)[:, None] * (end - start)
-
-
-def _bone_at(part: Part, points: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Distances (m,) to a part's bone at points (m, 3) [voxels]; beyond the box, that of the nearest point in it."""
-    at = _node((points - part.centre) @ part.frame / part.box)
-    return ndimage.map_coordinates(part.distance[0], at.T, order=1, mode="nearest", prefilter=False)
-
-
-def _node(local: NDArray[Any]) -> NDArray[Any]:
-    """Places in the box [-1, 1]^3, (..., 3), in nodes of the lattice."""
-    return (local + 1) * (0.5 * (np.array(LATTICE, local.dtype) - 1))
-
-
-def _window(part: Part) -> Window:
-    """Distances of a part at the voxels its box covers, by trilinear interpolation; far away beyond the box."""
-    reach = np.abs(part.frame) @ part.box
-    first, count = window_of(part.centre - reach, part.centre + reach)
-    local = (centres(first, count) - part.centre.astype(np.float32)) @ (part.frame / part.box).astype(np.float32)
-    at = np.moveaxis(_node(local), -1, 0)
-    bone, skin = (
-        ndimage.map_coordinates(layer, at, order=1, mode="constant", cval=FAR, prefilter=False)
-        for layer in part.distance
-    )
-    return Window(first, bone, skin)
-
-
-def _geometric_axis(part: Part, before: Part) -> NDArray[np.float64]:
-    """Hinge axis across both parts, or level across the one when they are in line."""
-    along = before.frame[:, 2]
-    for other in (along, np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])):
-        axis = np.cross(other, part.frame[:, 2])
-        length = float(np.linalg.norm(axis))
-        if length > 0.3:
-            return axis / length
-    return np.array([1.0, 0.0, 0.0])
 
 
 def _speck(torso: Part, pitch: float) -> VoxelDesign:

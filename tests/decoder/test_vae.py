@@ -12,8 +12,7 @@ from decoder.design import Material
 from decoder.genome import LATENT_DIM, GenomeDecoder
 from decoder.kinematics import touch
 from decoder.networks import carried, carried_back, initial
-from decoder.parts import LATTICE, lattice_points
-from decoder.vae import _GAP, Part, VaeDecoder, _seated
+from decoder.vae import VaeDecoder
 from decoder.weights import Weights, WeightsError
 from mfg.skeleton import SkeletonSolver, contacts
 
@@ -58,26 +57,6 @@ def test_linked_bones_touch_and_others_do_not(decoder: VaeDecoder):
         assert all(count < SkeletonSolver().contact_faces for pair, count in faces.items() if pair not in linked)
     assert joints > 12
     assert apart <= 1  # where others crowd in between
-
-
-@pytest.mark.parametrize("away", [0.0, 2.0, 7.0])
-def test_a_part_is_pushed_until_the_bones_meet(away: float):
-    radius = (np.linalg.norm(lattice_points() * 9.0, axis=1) - 5.0).reshape(LATTICE).clip(-4, 4).astype(np.float32)
-    ball = np.stack([radius, radius - 1])
-    across = np.array([0.0, 1.0, 0.0])
-
-    def part(x: float, hinge: float) -> Part:
-        return Part(0, np.array([x, 32.0, 32.0]), np.eye(3), np.full(3, 9.0), np.array([hinge, 32.0, 32.0]), across,
-                    1.0, np.array([-1.0, 1.0]), ball)  # fmt: skip
-
-    torso, limb = part(20.0, 20.0), part(30.0 + away, 25.0 + away / 2)
-    seated = _seated(limb, torso)
-    gap = seated.centre[0] - torso.centre[0] - 10.0
-    if away == 0.0:
-        assert seated is limb
-    else:
-        assert 0.3 < gap < _GAP + 0.1
-        assert seated.hinge - seated.centre == pytest.approx(limb.hinge - limb.centre)
 
 
 def test_joints_link_parts_into_one_tree(decoder: VaeDecoder):
