@@ -108,8 +108,13 @@ def figures_of(found: Evaluation) -> dict[str, float]:
     }
 
 
-def conclude(config: TrainDecoder, folder: Path, training: Training, mark: Mark) -> dict[str, Any]:
+def conclude(
+    config: TrainDecoder, folder: Path, training: Training, mark: Mark
+) -> tuple[dict[str, Any], Evaluation | None]:
     """Write the weights of a complete training, measure them, write the result; what is there already stays.
+
+    Returns:
+        the result, and all figures unless the result was there already.
 
     Raises:
         OSError: if the folder cannot be written.
@@ -118,14 +123,14 @@ def conclude(config: TrainDecoder, folder: Path, training: Training, mark: Mark)
 
     path = folder / WEIGHTS
     digest = save_weights(path, training.weights(), about_of(config, mark))
-    result = _measured(config, folder, digest)
+    result, found = _measured(config, folder, digest), None
     if result is None:
         say(f"measuring {path}")
         found = measure(codec_of(load_weights(path)), config.evaluation.bodies, config.evaluation.samples)
         result = _result(path, digest, found.bounds(), figures_of(found), config)
         write_json(folder / RESULT, result)
     say(_summary(result))
-    return result
+    return result, found
 
 
 def measure(codec: Codec, bodies: int, samples: int) -> Evaluation:
@@ -136,13 +141,17 @@ def measure(codec: Codec, bodies: int, samples: int) -> Evaluation:
     return evaluated(codec, held_out_bodies(bodies), None, prior_n=samples, pairs=PAIRS, watch=progress)
 
 
-def write_model_card(config: TrainDecoder, folder: Path) -> Path:
-    """The card of a training's weights: the package's if they are the package's, else in the folder."""
+def write_model_card(config: TrainDecoder, folder: Path, evaluation: Evaluation | None) -> Path:
+    """The card of a training's weights: the package's if they are the package's, else in the folder.
+
+    What is not measured yet, is.
+    """
     curve = folder / CURVE_PICTURE
     closing = config.evaluation
     return _card(
-        folder / WEIGHTS, None, closing.bodies, closing.samples, curve.read_bytes() if curve.exists() else None
-    )
+        folder / WEIGHTS, None, closing.bodies, closing.samples, curve.read_bytes() if curve.exists() else None,
+        evaluation,
+    )  # fmt: skip
 
 
 def evaluate_only(path: Path, out: Path | None) -> dict[str, Any]:
@@ -159,11 +168,13 @@ def evaluate_only(path: Path, out: Path | None) -> dict[str, Any]:
     """
     from experiments.decoder_card import PRIOR_N, N
 
-    card = _card(path, out, N, PRIOR_N, None)
+    card = _card(path, out, N, PRIOR_N, None, None)
     return {"kind": "train-decoder", "weights": str(path), "card": str(card), "finished": True}
 
 
-def _card(path: Path, out: Path | None, bodies: int, samples: int, curve: bytes | None) -> Path:
+def _card(
+    path: Path, out: Path | None, bodies: int, samples: int, curve: bytes | None, evaluation: Evaluation | None
+) -> Path:
     from decoder.weights import SHIPPED, load_weights
     from experiments import decoder_card
 
@@ -177,7 +188,8 @@ def _card(path: Path, out: Path | None, bodies: int, samples: int, curve: bytes 
     codec = codec_of(weights)
     pictures.mkdir(parents=True, exist_ok=True)
     found = decoder_card.write_card(
-        codec, weights, card, pictures, name=name, n=bodies, prior_n=samples, curve=curve, watch=progress
+        codec, weights, card, pictures, name=name, evaluation=evaluation, n=bodies, prior_n=samples, curve=curve,
+        watch=progress,
     )  # fmt: skip
     missed = [bound.name for bound in found.bounds() if not bound.reached]
     say(f"wrote {card}: " + (f"not reached: {', '.join(missed)}" if missed else "every goal is reached"))

@@ -106,11 +106,12 @@ def _train(config: TrainDecoder, folder: Path, args: argparse.Namespace, again: 
                 say(f"bodyplan: trained; what is left is to measure the weights. Go on with: {again}")
                 return result
         with terminable():
-            result |= conclude(config, folder, training, mark)
+            told, evaluation = conclude(config, folder, training, mark)
+            result |= told
             if args.ship:
                 result["shipped"] = ship(config, folder)
             if args.evaluate:
-                result["card"] = str(write_model_card(config, folder))
+                result["card"] = str(write_model_card(config, folder, evaluation))
         result["finished"] = True
     return result
 
