@@ -1,7 +1,8 @@
-"""Parts as the network says them, put where they belong: each on the one that carries it, so that their bones meet."""
+"""Parts as the network says them, put where they belong: bones that share a hinge meet, and motors have room."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +31,8 @@ from decoder.rasterise import FAR
 _LEAST_REACH = 0.1  # of a hinge either way [rad]
 GAP = 0.9  # between bones that meet at a hinge, at most [voxels]; they melt together over so much
 _PUSHES = 4  # at most, until they do
+MOTORS_APART = 10.5  # hinges, for two motors with their mounts [voxels]
+_ROUNDS = 3  # of making room
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +69,13 @@ def torso(pose: NDArray[np.float64], distance: NDArray[np.float32]) -> Part:
                 np.array([-1.0, 1.0]), distance)  # fmt: skip
 
 
-def hung(pose: NDArray[np.float64], distance: NDArray[np.float32], before: Part, carrier: int) -> Part:
-    """Put one part where its pose says, on the part that carries it, whose index is `carrier`."""
+def hung(pose: NDArray[np.float64], distance: NDArray[np.float32], others: Sequence[Part], carrier: int) -> Part:
+    """Put one part where its pose says, on the part number `carrier` of those that are placed, the torso first.
+
+    Then it is made room for: away from hinges where two motors would meet, towards the bone that it hangs on. Bodies
+    that were learned from seldom need it, and then little; a latent in between may.
+    """
+    before = others[carrier]
     hinge = before.centre + before.frame @ (before.box * np.clip(pose[ATTACH], -1.2, 1.2))
     length = float(np.linalg.norm(pose[DIRECTION]))
     direction = pose[DIRECTION] / length if length > 1e-3 else np.array([0.0, 0.0, -1.0])
@@ -77,18 +85,34 @@ def hung(pose: NDArray[np.float64], distance: NDArray[np.float32], before: Part,
     axis = frame @ axis
     reach = np.array([np.clip(pose[RANGE][0], -np.pi, -_LEAST_REACH), np.clip(pose[RANGE][1], _LEAST_REACH, np.pi)])
     axis /= np.linalg.norm(axis)
-    return seated(Part(carrier, centre, frame, _box(pose), hinge, axis, confidence, reach, distance), before)
+    part = Part(carrier, centre, frame, _box(pose), hinge, axis, confidence, reach, distance)
+    for _ in range(_ROUNDS):
+        part = seated(spaced(part, [other.hinge for other in others[1:]]), before)
+    return part
 
 
 def _box(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return box_of(3.0 * np.exp(np.clip(pose[SPREAD], -1.5, 1.5)))
 
 
+def spaced(part: Part, hinges: Sequence[NDArray[np.float64]]) -> Part:
+    """Push a part, hinge and all, away from each of some hinges in turn that is nearer than two motors need."""
+    for hinge in hinges:
+        away = part.hinge - hinge
+        distance = float(np.linalg.norm(away))
+        if 1e-6 < distance < MOTORS_APART:
+            part = _moved(part, (MOTORS_APART / distance - 1.0) * away)
+    return part
+
+
+def _moved(part: Part, by: NDArray[np.float64]) -> Part:
+    return replace(part, centre=part.centre + by, hinge=part.hinge + by)
+
+
 def seated(part: Part, before: Part) -> Part:
     """Push a part, hinge and all, towards the one that carries it until their bones are at most `GAP` apart.
 
-    Bones meet at a hinge in every body that was learned from; a latent in between may leave a gap. It is measured on
-    the way from centre to centre over the hinge, where it is narrowest.
+    The gap is measured on the way from centre to centre over the hinge, where it is narrowest.
     """
     for _ in range(_PUSHES):
         way = np.concatenate([_points_between(before.centre, part.hinge), _points_between(part.hinge, part.centre)])
@@ -97,8 +121,7 @@ def seated(part: Part, before: Part) -> Part:
         far = float(np.linalg.norm(inwards))
         if gap <= GAP or far < 1.0:
             break
-        push = min(gap - GAP, far) / far * inwards
-        part = replace(part, centre=part.centre + push, hinge=part.hinge + push)
+        part = _moved(part, min(gap - GAP, far) / far * inwards)
     return part
 
 
