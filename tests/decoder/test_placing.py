@@ -35,7 +35,7 @@ def test_a_part_is_pushed_away_from_hinges_where_its_motor_would_meet_theirs():
         return Part(0, where + 5.0, np.eye(3), np.full(3, 9.0), where, np.eye(3)[1], 1.0, np.array([-1.0, 1.0]),
                     np.zeros((2, *LATTICE), np.float32))  # fmt: skip
 
-    near, far = np.array([30.0, 32.0, 32.0]), np.array([50.0, 32.0, 32.0])
+    near, far = np.array([30.0, 32.0, 32.0]), np.array([60.0, 32.0, 32.0])
     limb = part([34.0, 32.0, 32.0])
     pushed = spaced(limb, [near, far])
     assert pushed.hinge == pytest.approx([30.0 + MOTORS_APART, 32.0, 32.0])
