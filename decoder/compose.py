@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from decoder.design import GRID, Material, quantised
+from decoder.design import DEPTH_LIMIT, GRID, Material, quantised
 from decoder.parts import BONES_APART
 from decoder.rasterise import COAT, FAR, MARGIN, Floats, smooth_min
 
 BLEND = 2.0  # width over which linked bones melt together [voxels]
 GAP = 2.5  # width of the cleft between the skins of parts without a common joint [voxels]
+Scalar = TypeVar("Scalar", bound=np.generic)
 _SLIVER = 0.3  # pieces of a bone smaller than this share of its largest are dropped
 
 
@@ -59,10 +61,12 @@ def compose(
         windows: one per part.
         linked: pairs (i, j) that share a joint, i < j.
     """
-    full = (GRID, GRID, GRID)
-    bone, skin, crack, slit = (np.full(full, FAR, np.float32) for _ in range(4))
-    owner, holder = np.zeros(full, np.int16), np.zeros(full, np.int16)
-    places = [tuple(slice(int(f), int(f + c)) for f, c in zip(w.low, w.bone.shape, strict=True)) for w in windows]
+    # Everything happens in the box around all windows; beyond it the grid is empty.
+    origin = np.min([w.low for w in windows], axis=0)
+    size = np.max([w.low + w.bone.shape for w in windows], axis=0) - origin
+    bone, skin, crack, slit = (np.full(size, FAR, np.float32) for _ in range(4))
+    owner, holder = np.zeros(size, np.int16), np.zeros(size, np.int16)
+    places = [_slices(w.low - origin, w.low - origin + w.bone.shape) for w in windows]
     skins = [np.minimum(w.skin, w.bone - np.float32(COAT)) for w in windows]
     for index, (window, place) in enumerate(zip(windows, places, strict=True)):
         nearer = window.bone < bone[place]
@@ -78,9 +82,8 @@ def compose(
             stop = np.minimum(windows[i].low + windows[i].bone.shape, windows[j].low + windows[j].bone.shape)
             if (stop <= start).any():
                 continue
-            region = tuple(slice(int(a), int(b)) for a, b in zip(start, stop, strict=True))
-            mine, other = (tuple(slice(int(a), int(b)) for a, b in zip(start - windows[k].low, stop - windows[k].low,
-                                                                       strict=True)) for k in (i, j))  # fmt: skip
+            region = _slices(start - origin, stop - origin)
+            mine, other = (_slices(start - windows[k].low, stop - windows[k].low) for k in (i, j))
             if (i, j) in linked:
                 melted[region] = np.minimum(
                     melted[region], smooth_min(windows[i].bone[mine], windows[j].bone[other], BLEND)
@@ -102,7 +105,21 @@ def compose(
     segment[soft & ~np.isin(segment, known)] = 0
     deep = np.minimum(-melted, FAR)
     whole = np.maximum(deep, np.minimum(-np.minimum(skin, melted - np.float32(COAT)), slit))
-    return material, segment, quantised(_towards(deep, rigid), _towards(whole, rigid | soft))
+    depth = quantised(_towards(deep, rigid), _towards(whole, rigid | soft))
+    box = _slices(origin, origin + size)
+    return _within(box, material, 0), _within(box, segment, 0), _within(box, depth, -DEPTH_LIMIT)
+
+
+def _slices(low: NDArray[np.intp], high: NDArray[np.intp]) -> tuple[slice, ...]:
+    return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+
+
+def _within(box: tuple[slice, ...], values: NDArray[Scalar], beyond: int) -> NDArray[Scalar]:
+    """Values of a box in the grid, the last three axes, and another beyond it."""
+    grid = np.full((*values.shape[:-3], GRID, GRID, GRID), beyond, values.dtype)
+    place: tuple[Any, ...] = (..., *box)
+    grid[place] = values
+    return grid
 
 
 def _slivers(
