@@ -67,6 +67,7 @@ def compose(
     bone, skin, crack, slit = (np.full(size, FAR, np.float32) for _ in range(4))
     owner, holder = np.zeros(size, np.int16), np.zeros(size, np.int16)
     places = [_slices(w.low - origin, w.low - origin + w.bone.shape) for w in windows]
+    bones = [w.bone for w in windows]
     skins = [np.minimum(w.skin, w.bone - np.float32(COAT)) for w in windows]
     for index, (window, place) in enumerate(zip(windows, places, strict=True)):
         nearer = window.bone < bone[place]
@@ -85,12 +86,9 @@ def compose(
             region = _slices(start - origin, stop - origin)
             mine, other = (_slices(start - windows[k].low, stop - windows[k].low) for k in (i, j))
             if (i, j) in linked:
-                melted[region] = np.minimum(
-                    melted[region], smooth_min(windows[i].bone[mine], windows[j].bone[other], BLEND)
-                )
+                melted[region] = np.minimum(melted[region], smooth_min(bones[i][mine], bones[j][other], BLEND))
             else:
-                for cleft, of, nearest, gap in ((crack, [w.bone for w in windows], bone, BONES_APART),
-                                                (slit, skins, skin, GAP)):  # fmt: skip
+                for cleft, of, nearest, gap in ((crack, bones, bone, BONES_APART), (slit, skins, skin, GAP)):
                     a, b = of[i][mine], of[j][other]
                     beyond = np.where(np.minimum(a, b) <= nearest[region], (np.abs(a - b) - np.float32(gap)) / 2, FAR)
                     cleft[region] = np.minimum(cleft[region], beyond)

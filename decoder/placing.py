@@ -86,8 +86,9 @@ def hung(pose: NDArray[np.float64], distance: NDArray[np.float32], others: Seque
     reach = np.array([np.clip(pose[RANGE][0], -np.pi, -_LEAST_REACH), np.clip(pose[RANGE][1], _LEAST_REACH, np.pi)])
     axis /= np.linalg.norm(axis)
     part = Part(carrier, centre, frame, _box(pose), hinge, axis, confidence, reach, distance)
+    hinges = [other.hinge for other in others[1:]]
     for _ in range(_ROUNDS):
-        part = seated(spaced(part, [other.hinge for other in others[1:]]), before)
+        part = seated(spaced(part, hinges), before)
     return part
 
 

@@ -19,7 +19,7 @@ HELP = "train the learned decoder on bodies drawn without end, measure it, and k
 
 STORY = """
 The same program runs on a CPU and on a GPU; experiments/configs has decoder_tiny.toml (seconds), decoder_cpu.toml
-(an hour on two cores) and decoder_gpu.toml (half an hour of a large GPU).
+(an hour on two cores) and decoder_gpu.toml (meant for half an hour of an H200).
 
 examples:
   bodyplan train-decoder experiments/configs/decoder_cpu.toml --out runs/decoder

@@ -50,7 +50,7 @@ def test_the_flow_learns_after_the_rest_and_alone():
         assert moved is name.startswith("flow."), name
 
 
-def test_the_rate_rises_and_falls_in_both_stages(monkeypatch: pytest.MonkeyPatch):
+def test_the_rate_rises_and_falls_in_both_stages():
     state = begun(replace(TINY, steps=100, flow_steps=50, warmup=10, learning_rate=1.0))
     rates = []
     for step in range(150):
