@@ -63,11 +63,11 @@ def write_best(
         OSError: if something cannot be written.
     """
     from experiments.deploy import bundle_of, dry_run
+    from hardware.bundle import save_bundle
     from mfg.description import describe
     from mfg.export import write_blueprint
     from mfg.picture import picture_of_blueprint
     from mfg.render import save_png
-    from sim.actor import save_bundle
     from sim.model import load_model
     from sim.rollout import measure, roll_out
     from sim.video import save_strip, save_video

@@ -29,9 +29,9 @@ def main() -> int:
 
     from decoder.sketch import load_design
     from experiments.best import BLUEPRINT, BUNDLE
+    from hardware.bundle import load_bundle
     from mfg.picture import contact_sheet, picture_of_blueprint, picture_of_design
     from mfg.pipeline import build
-    from sim.actor import load_bundle
     from sim.model import load_model
     from sim.rollout import roll_out
     from sim.video import strip

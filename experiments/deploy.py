@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 from experiments.output import DONE, INFEASIBLE, BadInput, emit, progress, say
 
 if TYPE_CHECKING:
+    from hardware.bundle import Bundle
     from hardware.bus import Clock, Port
     from hardware.robot import Tick
     from hardware.virtual import VirtualMotors
     from mfg.description import Description
-    from sim.actor import Bundle, Gait
+    from sim.actor import Gait
     from sim.plant import Plant
 
 HELP = "run a policy bundle on a robot's motors, or rehearse it on simulated ones"
@@ -58,7 +59,7 @@ def main(args: argparse.Namespace) -> int:
     if args.set_home and args.log is not None:
         raise BadInput("--set-home drives nothing, so there is no run to --log; give one of the two")
     try:
-        from sim.actor import load_bundle
+        from hardware.bundle import load_bundle
 
         bundle = load_bundle(args.bundle)
         with _stop_on_signals(), _line(args.bus, args.bundle, bundle, lock_step=args.dry_run) as line:
@@ -93,7 +94,7 @@ def dry_run(folder: Path, seconds: float = 10.0, log: Path | None = None) -> dic
         BundleError: The bundle is unusable.
         BadInput: Its model is missing or unusable.
     """
-    from sim.actor import load_bundle
+    from hardware.bundle import load_bundle
 
     bundle = load_bundle(folder)
     with _line(VIRTUAL, folder, bundle, lock_step=True) as line:
@@ -109,8 +110,8 @@ def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIO
     Raises:
         BundleError: The robot has more joints than one bus has ids, or the gait has another number of joints.
     """
+    from hardware.bundle import Bundle, JointSetup
     from hardware.j60 import quantise_gains
-    from sim.actor import Bundle, JointSetup
 
     joints = []
     for joint in description.joints:
@@ -158,7 +159,7 @@ def _stop_on_signals() -> Iterator[None]:
 
 
 def _load_plant(folder: Path, bundle: Bundle) -> Plant:
-    from sim.actor import MODEL_FILE
+    from hardware.bundle import MODEL_FILE
     from sim.model import ModelError
     from sim.plant import Plant
 

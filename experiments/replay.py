@@ -19,8 +19,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Play the log back; exit status 1 if the program diverges from it."""
+    from hardware.bundle import load_bundle
     from hardware.log import LogError, play_back, read_log
-    from sim.actor import load_bundle
 
     try:
         log = read_log(args.log)

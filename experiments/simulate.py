@@ -96,7 +96,8 @@ def _model(path: Path, virtual: bool, components: str) -> Model | None:
 
 def _policy(model: Model, folder: Path) -> Gait:
     """The gait of a bundle, its joints in the order of the model's."""
-    from sim.actor import Gait, load_bundle
+    from hardware.bundle import load_bundle
+    from sim.actor import Gait
     from sim.model import drive_of
 
     bundle = load_bundle(folder)

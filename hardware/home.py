@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.bundle import Bundle
 from hardware.bus import ATTEMPTS, SWEEP_TIMEOUT, MotorBus, MotorFault, MotorSilent
 from hardware.j60 import Code, Command
-from sim.actor import Bundle
 
 ZERO = 0.05  # how far from zero a joint may be right after its zero was set [rad]
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware import j60
+from hardware.bundle import Bundle, BundleError, bundle_document, parse_bundle
 from hardware.bus import Clock, Frame, MotorBus, Port
 from hardware.robot import Imu, Robot, Schedule, Tick
 from hardware.safety import Limits
-from sim.actor import Bundle, BundleError, bundle_document, parse_bundle
 
 LOG_VERSION = 1
 CHANNEL = "can0"

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware import j60, safety
+from hardware.bundle import Bundle, BundleError
 from hardware.bus import Clock, MotorBus, MotorFault
 from hardware.home import check_pose, measure_pose
 from hardware.j60 import Code, Command, Reply
 from hardware.safety import DEFAULT_LIMITS, Limits, Sample, Trip
-from sim.actor import Bundle, BundleError, low_pass, smooth_step
-from sim.observation import ObservationLayout
+from sim.actor import Perceptron, low_pass, smooth_step
 
 Array = NDArray[np.float64]
 Imu = tuple[Array, Array]  # gravity's direction (3,), angular velocity (3,) [rad/s], in the IMU frame
@@ -105,7 +105,7 @@ class Robot:
         self.trip: Trip | None = None
         self.unconfirmed: tuple[int, ...] = ()  # motors that did not confirm that they are off
         self._bus, self._clock = bus, clock
-        self._layout = ObservationLayout(n)
+        self._seen: Array | None = None  # the observation that the policy acted on last
         self._ids = tuple(joint.can_id for joint in bundle.joints)
         self._sign = bundle.column("sign")
         self._entered = 0  # index of the tick that entered the state
@@ -262,7 +262,12 @@ class Robot:
 
     def _observe(self, imu: Imu | None) -> Array:
         gravity, gyro = (np.full(3, np.nan), np.full(3, np.nan)) if imu is None else imu
-        return self._layout.pack(gravity, gyro, self._position, self._velocity, self._target)
+        layout, command = self.bundle.actor.layout, None
+        if isinstance(self.bundle.actor, Perceptron) and layout.commanded:
+            command = self.bundle.actor.command
+        frame = layout.pack(gravity, gyro, self._position, self._velocity, self._target, command)
+        self._seen = layout.begin(frame) if self._seen is None else layout.push(self._seen, frame)
+        return self._seen
 
     def _commands(self) -> Mapping[int, Command]:
         """Encode what the state asks of each motor, in the motor's own direction."""

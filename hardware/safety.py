@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.actor import Bundle
+from hardware.bundle import Bundle
 
 Array = NDArray[np.float64]
 

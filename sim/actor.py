@@ -1,31 +1,17 @@
-"""What drives the joints, and the policy bundle that carries it to the robot (numpy and the standard library only)."""
+"""What drives the joints: open-loop gaits and learned policies (numpy and the standard library only)."""
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import shutil
-import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
-from xml.etree import ElementTree
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-BUNDLE_VERSION = 1
-BUNDLE_FILE = "bundle.json"
-MODEL_FILE = "robot.xml"
-MESH_FOLDER = "meshes"
-NUM_CAN_IDS = 16  # a motor id has 4 bits on the wire
+from sim.observation import COMMAND_SIZE, ActionMap, ObservationLayout
 
 Array = NDArray[np.float64]
-
-
-class BundleError(ValueError):
-    """A policy bundle is unusable; the message names the field, the value and the bound."""
 
 
 def smooth_step(x: ArrayLike) -> Array:
@@ -43,6 +29,11 @@ class Actor(Protocol):
     @property
     def num_joints(self) -> int:
         """How many joints it drives."""
+        ...
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """What it sees."""
         ...
 
     def act(self, time: float, observation: Array) -> Array:
@@ -83,6 +74,11 @@ class Gait:
         """How many joints it drives."""
         return int(self.amplitude.size)
 
+    @property
+    def layout(self) -> ObservationLayout:
+        """What it could see; it looks at nothing."""
+        return ObservationLayout(self.num_joints)
+
     def targets(self, time: ArrayLike) -> Array:
         """Evaluate the law at time(s) of any shape (...) [s]; returns (..., n) [rad]."""
         angle = 2.0 * np.pi * self.frequency * np.asarray(time, dtype=np.float64)[..., None]
@@ -93,264 +89,79 @@ class Gait:
         return self.targets(time)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Perceptron:
+    """A learned policy, said = W_k f(... f(W_1 (o - c) g + b_1) ...) + b_k with f = tanh, then `actions`.
+
+    Attributes:
+        layers: weight (inputs, outputs) and bias (outputs,) of each layer, the last one linear.
+        input_centre: c, (layout.size,).
+        input_gain: g, (layout.size,).
+        actions: from what the last layer says to joint targets.
+        history: frames that it sees.
+        command: velocity command it was told to follow, (3,) or empty where it takes none.
+
+    Raises:
+        ValueError: Sizes disagree with each other or with the observation, or a number is not finite.
+    """
+
+    layers: tuple[tuple[Array, Array], ...]
+    input_centre: Array
+    input_gain: Array
+    actions: ActionMap
+    history: int = 1
+    command: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        size = self.layout.size
+        if not self.layers:
+            raise ValueError("A perceptron needs at least one layer.")
+        for name in ("input_centre", "input_gain"):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            if value.shape != (size,) or not np.isfinite(value).all():
+                raise ValueError(f"Perceptron {name} must be {size} finite numbers, got shape {value.shape}.")
+            object.__setattr__(self, name, value)
+        if len(self.command) not in (0, COMMAND_SIZE) or not all(math.isfinite(v) for v in self.command):
+            raise ValueError(f"A perceptron's command is none or {COMMAND_SIZE} finite numbers, got {self.command}.")
+        layers = []
+        for index, (weight, bias) in enumerate(self.layers):
+            W, b = np.array(weight, dtype=np.float64), np.array(bias, dtype=np.float64)
+            if W.ndim != 2 or b.ndim != 1 or W.shape != (size, b.size):
+                raise ValueError(f"Layer {index}: weight must be ({size}, outputs) and bias (outputs,), "
+                                 f"got {W.shape} and {b.shape}.")  # fmt: skip
+            if not (np.isfinite(W).all() and np.isfinite(b).all()):
+                raise ValueError(f"Layer {index}: every number must be finite.")
+            layers.append((W, b))
+            size = b.size
+        if size != self.num_joints:
+            raise ValueError(f"The last layer has {size} outputs, the robot has {self.num_joints} joints.")
+        object.__setattr__(self, "layers", tuple(layers))
+
+    @property
+    def num_joints(self) -> int:
+        """How many joints it drives."""
+        return self.actions.num_joints
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """What it sees."""
+        return ObservationLayout(self.num_joints, self.history, bool(self.command))
+
+    def say(self, observation: ArrayLike) -> Array:
+        """What the last layer says, (..., n), on observations (..., size)."""
+        x = (np.asarray(observation, dtype=np.float64) - self.input_centre) * self.input_gain
+        for W, b in self.layers[:-1]:
+            x = np.tanh(x @ W + b)
+        W, b = self.layers[-1]
+        return np.asarray(x @ W + b)
+
+    def act(self, time: float, observation: Array) -> Array:  # noqa: ARG002 - the state says enough.
+        """Give the joint targets (..., n) [rad]; they start from the previous ones, which are in the observation."""
+        return self.actions.targets(self.say(observation), observation[..., self.layout.action])
+
+
 def low_pass(previous: Array, target: Array, dt: float, time_constant: float) -> Array:
     """Filter an action to first order, y + (1 - exp(-dt / tau)) (x - y); tau = 0 passes it through."""
     if time_constant <= 0.0:
         return target
     return np.asarray(previous + (1.0 - math.exp(-dt / time_constant)) * (target - previous))
-
-
-@dataclass(frozen=True, slots=True)
-class JointSetup:
-    """One driven joint as the robot needs it: where its motor is on the bus, and what it may do."""
-
-    name: str
-    can_id: int  # 0 to 15
-    sign: int  # +1, or -1 where the motor turns against the joint
-    range: tuple[float, float]  # of the joint [rad]
-    default: float  # pose before the policy takes over [rad]
-    kp: float  # as the wire quantises it [N.m/rad]
-    kd: float  # as the wire quantises it [N.m.s/rad]
-    peak_torque: float  # [N.m]
-    continuous_torque: float  # [N.m]
-    max_speed: float  # [rad/s]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Bundle:
-    """All that a robot needs to run one policy; the order of `joints` is the order of every joint vector.
-
-    Raises:
-        BundleError: A field is out of bounds, or the actor and the joints disagree.
-    """
-
-    design: str  # key of the design it was made for
-    joints: tuple[JointSetup, ...]
-    actor: Gait
-    dt: float  # control period [s]
-    time_constant: float = 0.0  # of the action low-pass, 0 for none [s]
-    config_hash: str = ""  # of the configuration that produced it
-
-    def __post_init__(self) -> None:
-        if not self.joints:
-            raise BundleError("A bundle needs at least one joint.")
-        if self.actor.num_joints != len(self.joints):
-            raise BundleError(f"The actor drives {self.actor.num_joints} joints, the bundle has {len(self.joints)}.")
-        for what, values in (
-            ("name", [joint.name for joint in self.joints]),
-            ("can_id", [joint.can_id for joint in self.joints]),
-        ):
-            if len(set(values)) != len(values):
-                raise BundleError(f"Joints must not share a {what}, got {values}.")
-        if not (math.isfinite(self.dt) and 0.0 < self.dt <= 1.0):
-            raise BundleError(f"Control period dt must lie in (0, 1] s, got {self.dt}.")
-        if not (math.isfinite(self.time_constant) and self.time_constant >= 0.0):
-            raise BundleError(f"Low-pass time_constant must be finite and >= 0 s, got {self.time_constant}.")
-        for joint in self.joints:
-            _check_joint(joint)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Joint names in order."""
-        return tuple(joint.name for joint in self.joints)
-
-    def column(self, field: str) -> Array:
-        """Collect one numeric field of all joints, (n,) or (n, 2) for `range`."""
-        return np.array([getattr(joint, field) for joint in self.joints], dtype=np.float64)
-
-
-def _check_joint(joint: JointSetup) -> None:
-    def refuse(field: str, bound: str) -> BundleError:
-        return BundleError(f"Joint {joint.name!r}: {field} must be {bound}, got {getattr(joint, field)!r}.")
-
-    if not 0 <= joint.can_id < NUM_CAN_IDS:
-        raise refuse("can_id", "in 0..15")
-    if joint.sign not in (-1, 1):
-        raise refuse("sign", "+1 or -1")
-    low, high = joint.range
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise refuse("range", "finite and increasing")
-    if not low <= joint.default <= high:
-        raise refuse("default", f"in its range [{low:.4g}, {high:.4g}] rad")
-    for field in ("kp", "kd"):
-        if not (math.isfinite(getattr(joint, field)) and getattr(joint, field) >= 0.0):
-            raise refuse(field, "finite and >= 0")
-    for field in ("peak_torque", "continuous_torque", "max_speed"):
-        if not (math.isfinite(getattr(joint, field)) and getattr(joint, field) > 0.0):
-            raise refuse(field, "finite and > 0")
-    if joint.continuous_torque > joint.peak_torque:
-        raise refuse("continuous_torque", f"at most the peak torque {joint.peak_torque:.4g} N.m")
-
-
-_TOP_FIELDS = ("version", "design", "config_hash", "dt", "time_constant", "order", "joints", "actor")
-_JOINT_NUMBERS = ("default", "kp", "kd", "peak_torque", "continuous_torque", "max_speed")
-_JOINT_FIELDS = ("can_id", "sign", "range", *_JOINT_NUMBERS)
-_GAIT_FIELDS = ("kind", "frequency", "amplitude", "phase", "offset")
-
-
-def save_bundle(folder: Path, bundle: Bundle, model_folder: Path | None = None) -> None:
-    """Write `bundle.json` at full float precision, and the model so that a dry run can simulate the robot.
-
-    Args:
-        folder: Made if missing; the bundle file comes last, so a folder that has it is complete.
-        bundle: What to write.
-        model_folder: A blueprint folder with `robot.xml` and `meshes/` to copy in; None writes no model.
-
-    Raises:
-        BundleError: The model's hinges are not the bundle's joints.
-        OSError: The folder cannot be written, or the model cannot be read.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    if model_folder is not None:
-        check_model(model_folder / MODEL_FILE, bundle)
-        shutil.copyfile(model_folder / MODEL_FILE, folder / MODEL_FILE)
-        if (model_folder / MESH_FOLDER).is_dir():
-            shutil.copytree(model_folder / MESH_FOLDER, folder / MESH_FOLDER, dirs_exist_ok=True)
-    partial = folder / (BUNDLE_FILE + ".partial")
-    partial.write_text(json.dumps(bundle_document(bundle), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, folder / BUNDLE_FILE)
-
-
-def bundle_document(bundle: Bundle) -> dict[str, Any]:
-    """Put a bundle into the form that `bundle.json` stores, with every number exact."""
-    return {
-        "version": BUNDLE_VERSION,
-        "design": bundle.design,
-        "config_hash": bundle.config_hash,
-        "dt": bundle.dt,
-        "time_constant": bundle.time_constant,
-        "order": list(bundle.names),
-        "joints": {
-            joint.name: {field: getattr(joint, field) for field in _JOINT_FIELDS} | {"range": list(joint.range)}
-            for joint in bundle.joints
-        },
-        "actor": {
-            "kind": "gait",
-            "frequency": bundle.actor.frequency,
-            "amplitude": bundle.actor.amplitude.tolist(),
-            "phase": bundle.actor.phase.tolist(),
-            "offset": bundle.actor.offset.tolist(),
-        },
-    }
-
-
-def load_bundle(folder: Path) -> Bundle:
-    """Read a bundle folder back; nothing is defaulted and nothing is ignored.
-
-    Raises:
-        BundleError: The file is missing or malformed; a field, joint or array is missing, unknown, of the wrong
-            type or shape, out of bounds or not finite; or `robot.xml` beside it has other hinges.
-    """
-    path = folder / BUNDLE_FILE
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError:
-        raise BundleError(f"{folder} has no {BUNDLE_FILE}; give the folder of a policy bundle.") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, NotADirectoryError, IsADirectoryError) as error:
-        raise BundleError(f"{path} is not a JSON file: {error}.") from None
-    except BundleError as error:
-        raise BundleError(f"{path}: {error}") from None
-    try:
-        bundle = parse_bundle(document)
-    except BundleError as error:
-        raise BundleError(f"{path}: {error}") from None
-    if (folder / MODEL_FILE).exists():
-        check_model(folder / MODEL_FILE, bundle)
-    return bundle
-
-
-def parse_bundle(document: Any) -> Bundle:
-    """Read a bundle out of its JSON document, the inverse of `bundle_document`.
-
-    Raises:
-        BundleError: A field, joint or array is missing, unknown, of the wrong type or shape, or out of bounds.
-    """
-    if isinstance(document, dict) and document.get("version", BUNDLE_VERSION) != BUNDLE_VERSION:
-        raise BundleError(f"version must be {BUNDLE_VERSION}, got {document['version']!r}; export the bundle again.")
-    top = _record("fields", document, _TOP_FIELDS)
-    order = top["order"]
-    if not (isinstance(order, list) and all(isinstance(name, str) for name in order)):
-        raise BundleError(f"order must be a list of joint names, got {order!r}.")
-    if not isinstance(top["joints"], dict):
-        raise BundleError(f"joints must be an object by name, got {top['joints']!r}.")
-    _same_names("joints and order", set(top["joints"]), set(order))
-    return Bundle(
-        design=_text("design", top["design"]),
-        joints=tuple(_joint(name, top["joints"][name]) for name in order),
-        actor=_actor(top["actor"], len(order)),
-        dt=_number("dt", top["dt"]),
-        time_constant=_number("time_constant", top["time_constant"]),
-        config_hash=_text("config_hash", top["config_hash"]),
-    )
-
-
-def check_model(path: Path, bundle: Bundle) -> None:
-    """Refuse an MJCF whose hinges are not exactly the bundle's joints.
-
-    Raises:
-        BundleError: Hinges are missing or unknown, or the file is not XML.
-    """
-    try:
-        world = ElementTree.parse(path).getroot().find("worldbody")
-    except ElementTree.ParseError as error:
-        raise BundleError(f"{path} is not an MJCF file: {error}.") from None
-    nodes = [] if world is None else world.iter("joint")
-    hinges = {node.get("name", "") for node in nodes if node.get("type", "hinge") == "hinge"}
-    _same_names(f"{path}: hinges", hinges, set(bundle.names))
-
-
-def _refuse_constant(text: str) -> float:
-    raise BundleError(f"every number must be finite, got {text}.")
-
-
-def _same_names(what: str, found: set[str], expected: set[str]) -> None:
-    missing, unknown = sorted(expected - found), sorted(found - expected)
-    if missing or unknown:
-        raise BundleError(f"{what} disagree: missing {missing}, unknown {unknown}.")
-
-
-def _joint(name: str, document: Any) -> JointSetup:
-    entry = _record(f"joint {name!r}: fields", document, _JOINT_FIELDS)
-    low, high = _numbers(f"joint {name!r}: range", entry["range"], 2)
-    for field in ("can_id", "sign"):
-        if type(entry[field]) is not int:
-            raise BundleError(f"joint {name!r}: {field} must be a whole number, got {entry[field]!r}.")
-    numbers = {field: _number(f"joint {name!r}: {field}", entry[field]) for field in _JOINT_NUMBERS}
-    return JointSetup(name, entry["can_id"], entry["sign"], (low, high), **numbers)
-
-
-def _actor(document: Any, num_joints: int) -> Gait:
-    kind = document.get("kind") if isinstance(document, dict) else None
-    if kind != "gait":
-        raise BundleError(f"actor kind must be 'gait', got {kind!r}.")
-    entry = _record("actor: fields", document, _GAIT_FIELDS)
-    arrays = {name: _numbers(f"actor: {name}", entry[name], num_joints) for name in ("amplitude", "phase", "offset")}
-    frequency = _number("actor: frequency", entry["frequency"])
-    if frequency < 0.0:
-        raise BundleError(f"actor: frequency must be >= 0 Hz, got {frequency}.")
-    return Gait(frequency, *(np.array(arrays[name]) for name in ("amplitude", "phase", "offset")))
-
-
-def _record(what: str, document: Any, fields: tuple[str, ...]) -> dict[str, Any]:
-    if not isinstance(document, dict):
-        raise BundleError(f"{what} must be a JSON object, got {document!r}.")
-    _same_names(what, set(document), set(fields))
-    return document
-
-
-def _text(what: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise BundleError(f"{what} must be text, got {value!r}.")
-    return value
-
-
-def _number(what: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise BundleError(f"{what} must be a finite number, got {value!r}.")
-    return float(value)
-
-
-def _numbers(what: str, value: Any, count: int) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise BundleError(f"{what} must be a list of {count} numbers, got {value!r}.")
-    return [_number(what, item) for item in value]

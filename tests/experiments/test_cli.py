@@ -17,7 +17,7 @@ import pytest
 from decoder.design import DesignError
 from experiments import cli, output
 from experiments.cli import COMMANDS, THREAD_VARIABLES, VERSION
-from sim.actor import BundleError
+from hardware.bundle import BundleError
 
 ROOT = Path(cli.__file__).parent.parent
 

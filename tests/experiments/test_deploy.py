@@ -14,6 +14,7 @@ from bodies import ellipsoid, painted
 
 from decoder.design import Joint, VoxelDesign
 from experiments.deploy import _stop_on_signals, bundle_of, dry_run
+from hardware.bundle import BundleError, load_bundle, save_bundle
 from hardware.j60 import Code, decode_command, decode_reply, split_id
 from hardware.log import read_log, states_path
 from hardware.robot import Robot, State
@@ -21,7 +22,7 @@ from mfg.description import Description, describe
 from mfg.export import write_blueprint
 from mfg.manifest import read_description
 from mfg.pipeline import build, virtual
-from sim.actor import BundleError, Gait, load_bundle, save_bundle
+from sim.actor import Gait
 from sim.model import make_spec
 
 Cli = Callable[..., Any]

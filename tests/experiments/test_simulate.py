@@ -13,11 +13,12 @@ import pytest
 from PIL import Image
 
 from decoder.design import GRID, Joint, Material, VoxelDesign
+from hardware.bundle import Bundle, JointSetup, save_bundle
 from mfg.description import Description, describe
 from mfg.pipeline import virtual
 from mfg.robot_files import mesh_files, mjcf
 from sim import gaits
-from sim.actor import Bundle, Gait, JointSetup, save_bundle
+from sim.actor import Gait
 
 CONTRACT = {"seconds", "distance_m", "speed_m_s", "body_length_m", "fell", "cost_of_transport", "max_torque_Nm",
             "steps_per_s"}  # fmt: skip

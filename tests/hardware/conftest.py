@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hardware.bundle import Bundle, JointSetup
 from hardware.bus import CanPort, MotorBus, Port, open_virtual_pair
 from hardware.j60 import quantise_gains
 from hardware.log import Journal
 from hardware.robot import Robot, Schedule
 from hardware.safety import DEFAULT_LIMITS, Limits
 from hardware.virtual import Imperfection, LockStepPort, VirtualMotors
-from sim.actor import Bundle, Gait, JointSetup
+from sim.actor import Gait
 
 PEAK = 19.94
 

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hardware.bundle import Bundle
 from hardware.bus import MotorSilent
 from hardware.control import drive
 from hardware.home import PoseError, check_pose, measure_pose, set_home
 from hardware.virtual import Imperfection
-from sim.actor import Bundle
 
 Make = Callable[..., Any]
 

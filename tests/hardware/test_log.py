@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from hardware import j60
+from hardware.bundle import Bundle
 from hardware.control import drive
 from hardware.log import LogError, play_back, read_log, states_path
 from hardware.robot import Tick
 from hardware.virtual import Imperfection
-from sim.actor import Bundle, Gait
+from sim.actor import Gait
 
 Make = Callable[..., Any]
 

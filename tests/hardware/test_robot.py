@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from hardware import j60
+from hardware.bundle import Bundle, BundleError
 from hardware.bus import BusUnavailable, Frame, MotorFault, MotorSilent
 from hardware.control import drive
 from hardware.j60 import Code
 from hardware.robot import Schedule, State, Tick
 from hardware.virtual import Imperfection
-from sim.actor import Bundle, BundleError, smooth_step
+from sim.actor import smooth_step
+from sim.observation import ObservationLayout
 
 Make = Callable[..., Any]
 
@@ -20,6 +22,7 @@ class Broken:
     """An actor that gives up after a while, in the way that it is told."""
 
     num_joints = 3
+    layout = ObservationLayout(3)
 
     def __init__(self, after: float, outcome: Any) -> None:
         self.after, self.outcome = after, outcome

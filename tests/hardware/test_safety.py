@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware import safety
+from hardware.bundle import Bundle, JointSetup
 from hardware.safety import DEFAULT_LIMITS, Sample
-from sim.actor import Bundle, Gait, JointSetup
+from sim.actor import Gait
 
 PEAK = 19.94
 BUNDLE = Bundle(

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.actor import Bundle, BundleError, Gait, JointSetup, load_bundle, low_pass, save_bundle
+from hardware.bundle import Bundle, BundleError, JointSetup, load_bundle, save_bundle
+from sim.actor import Gait, low_pass
 
 finite = st.floats(-10.0, 10.0)
 MJCF = (
@@ -124,7 +125,7 @@ def rename_joint(document: dict[str, Any]) -> None:
         (lambda d: d.update(extra=1), r"unknown \['extra'\]"),
         (rename_joint, r"missing \['knee'\], unknown \['elbow'\]"),
         (lambda d: d.update(order=["hip", "hip"]), r"missing \[\], unknown \['knee'\]"),
-        (lambda d: d["actor"].update(kind="magic"), "kind must be 'gait', got 'magic'"),
+        (lambda d: d["actor"].update(kind="magic"), "kind must be 'gait' or 'perceptron', got 'magic'"),
         (lambda d: d["actor"]["phase"].append(0.0), "phase must be a list of 2 numbers"),
         (lambda d: d["actor"].update(frequency=float("nan")), "every number must be finite, got NaN"),
         (lambda d: d["actor"].update(frequency=True), "frequency must be a finite number"),
