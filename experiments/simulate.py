@@ -10,6 +10,8 @@ from experiments.build import add_pipeline_options, catalogue_of, read_design
 from experiments.output import DONE, INFEASIBLE, BadInput, emit, say, seed
 
 if TYPE_CHECKING:
+    from mujoco import MjSpec
+
     from sim.actor import Gait
     from sim.model import Model
     from sim.rollout import Behaviour
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 HELP = "let a blueprint or a design walk, measure it and film it"
 MODEL_FILE = "robot.xml"
 FILMS = (".mp4", ".png")
+TERRAINS = ("flat", "rough", "potholes", "slope", "steps")  # of sim.terrain.Kind
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +30,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", type=Path, metavar="BUNDLE", help="policy bundle; without one a gait is searched")
     parser.add_argument("--seconds", type=_seconds, default=10.0, help="how long to measure (10)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film it: .mp4, or .png for a strip of moments")
-    parser.add_argument("--seed", type=seed, default=0, help="of the search for a gait (0)")
+    parser.add_argument("--seed", type=seed, default=0, help="of the search for a gait, and of the terrain (0)")
     parser.add_argument("--virtual", action="store_true", help="a design as drawn, before any hardware is put into it")
+    parser.add_argument("--terrain", choices=TERRAINS, default="flat", help="what it walks on (flat)")
     add_pipeline_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
@@ -39,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
 
     if args.video is not None:
         _check_film(args.video)
-    model = _model(args.robot, args.virtual, args.catalogue)
+    model = _model(args)
     if model is None:
         return INFEASIBLE
     try:
@@ -65,10 +69,11 @@ def main(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _model(path: Path, virtual: bool, components: str) -> Model | None:
+def _model(args: argparse.Namespace) -> Model | None:
     """The model of a blueprint or a design, or None where the design cannot be built and the reason was said."""
-    from sim.model import ModelError, compile_model, load_model
+    from sim.model import load_spec, make_spec
 
+    path, virtual = args.robot, args.virtual
     if path.is_dir() or path.suffix.lower() == ".xml":
         file = path / MODEL_FILE if path.is_dir() else path
         if path.is_dir() and not file.exists():
@@ -78,20 +83,27 @@ def _model(path: Path, virtual: bool, components: str) -> Model | None:
         if virtual:
             raise BadInput(f"--virtual needs a design, and {path} is a blueprint: its hardware is in it already")
         try:
-            return load_model(file)
-        except ModelError as error:
-            raise BadInput(str(error)) from None
+            return _compiled(load_spec(file), args)
+        except ValueError as error:
+            raise BadInput(f"{file}: {str(error).removeprefix(f'{file}: ')}".splitlines()[0]) from None
     from mfg import pipeline
     from mfg.description import describe
 
     design = read_design(path)
     solve = pipeline.virtual if virtual else pipeline.score
-    outcome = solve(design, catalogue_of(components))
+    outcome = solve(design, catalogue_of(args.catalogue))
     if not outcome.ok:
         hint = "" if virtual else "; --virtual simulates it all the same"
         say(f"bodyplan: {path} cannot be built: {outcome.failure}{hint}")
         return None
-    return compile_model(describe(outcome.blueprint))
+    return _compiled(make_spec(describe(outcome.blueprint)), args)
+
+
+def _compiled(spec: MjSpec, args: argparse.Namespace) -> Model:
+    from sim.terrain import Kind, Terrain, lay
+
+    lay(spec, Terrain(Kind(args.terrain), seed=args.seed))
+    return spec.compile()
 
 
 def _policy(model: Model, folder: Path) -> Gait:
@@ -136,6 +148,7 @@ def _document(args: argparse.Namespace, model: Model, gait: Gait, behaviour: Beh
     return {
         **behaviour.to_json(),
         "robot": model_name(model),
+        "terrain": args.terrain,
         "policy": None if args.policy is None else str(args.policy),
         "gait": {
             "frequency_hz": gait.frequency,
