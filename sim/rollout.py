@@ -189,7 +189,7 @@ def roll_out(
     power = torque[:, measured] * qvel[:, measured][:, :, drive_of(model).velocity]
     # The records follow each step, so the last one of the lead-in is the start of the measurement.
     rows = slice(lead * substeps - 1, None, substeps)
-    up, yaw = turned(start[_quaternion(model)], qpos[:, rows, 3:7])
+    up, yaw = turned(start[root_quaternion(model)], qpos[:, rows, 3:7])
     return Rollouts(
         qpos=qpos[:, rows], com=com[:, rows, 1], up=up, yaw=yaw,
         peak_torque=np.abs(torque[:, measured]).max(axis=1),
@@ -277,7 +277,7 @@ def turned(
     return up, yaw
 
 
-def _quaternion(model: Model) -> slice:
+def root_quaternion(model: Model) -> slice:
     """Place of the root's orientation in the full state, which starts with time and qpos."""
     first = 1 + int(model.jnt_qposadr[0]) + 3
     return slice(first, first + 4)
