@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -114,10 +115,27 @@ def test_files_are_read_by_suffix(tmp_path: Path) -> None:
         load_design(tmp_path / "limb.txt")
 
 
-def test_the_example_is_what_the_painter_paints(tmp_path: Path) -> None:
-    design = load_design(EXAMPLES / "quadruped.vox")
-    assert len(design.segments) == 5
-    assert len(design.joints) == 4
-    for joint in design.joints:
-        np.testing.assert_allclose(joint.axis, (0, 1, 0), atol=1e-9)
-        assert joint.parent == 1
+@pytest.mark.parametrize(
+    ("name", "parents", "axes"),
+    [
+        ("quadruped", [1, 1, 1, 1], [90, 90, 90, 90]),
+        ("tripod", [1, 1, 1], [-30, 30, 90]),  # each square to its leg
+        ("crawler", [1, 1, 2, 3], [90, 90, 90, 90]),
+        ("inchworm", [1, 2, 3], [90, 90, 90]),
+    ],
+)
+def test_the_example_is_what_the_painter_paints(name: str, parents: list[int], axes: list[int]) -> None:
+    design = load_design(EXAMPLES / f"{name}.vox")
+    assert len(design.segments) == len(parents) + 1
+    assert [joint.parent for joint in design.joints] == parents
+    found = [np.degrees(np.arctan2(joint.axis[1], joint.axis[0])) for joint in design.joints]
+    np.testing.assert_allclose(found, axes, atol=4)  # five voxels draw a slanting line no straighter
+    assert all(joint.confidence == 1.0 and abs(joint.axis[2]) < 1e-9 for joint in design.joints)
+
+
+def test_every_example_is_painted_by_the_painter(tmp_path: Path) -> None:
+    painter = runpy.run_path(str(EXAMPLES / "paint.py"))
+    assert {path.stem for path in EXAMPLES.glob("*.vox")} == {paint.__name__ for paint in painter["SKETCHES"]}
+    for paint in painter["SKETCHES"]:
+        write_vox(tmp_path / "again.vox", paint())
+        assert (tmp_path / "again.vox").read_bytes() == (EXAMPLES / f"{paint.__name__}.vox").read_bytes()

@@ -10,9 +10,15 @@ import pytest
 
 from decoder.design import VoxelDesign
 from decoder.latent import make_decoder, sample_latents
+from decoder.sketch import load_design
 from experiments import build as command
-from mfg.pipeline import score
+from mfg.description import describe
+from mfg.pipeline import build, score
+from sim.actor import Gait
+from sim.model import compile_model
+from sim.rollout import measure, roll_out
 
+EXAMPLES = Path(command.__file__).parent / "examples"
 SCORES = ("motor", "electronics", "cable", "electronics_install", "body_install")
 
 
@@ -65,6 +71,21 @@ def test_a_build_leaves_the_blueprint_folder_of_the_contract(bodyplan, good, tmp
                  "blueprint.png", "meshes", "parts"):  # fmt: skip
         assert (tmp_path / "robot" / name).exists(), name
     assert list((tmp_path / "robot" / "parts").glob("*.stl"))
+
+
+@pytest.mark.parametrize("sketch", sorted(EXAMPLES.glob("*.vox")), ids=lambda path: path.stem)
+def test_every_example_sketch_is_a_robot_that_stands(sketch):
+    outcome = build(load_design(sketch))
+    assert outcome.ok, outcome.failure
+    robot = describe(outcome.blueprint)
+    assert 3 <= len(robot.joints) <= 8
+    assert 3.0 < robot.mass < 8.0
+    assert all(joint.range[1] - joint.range[0] > 1.0 for joint in robot.joints)
+    model, still = compile_model(robot), np.zeros(len(robot.joints))
+    behaviour = measure(model, roll_out(model, [Gait(1.0, still, still, still)], 2.0))[0]
+    assert behaviour is not None
+    assert not behaviour.fell
+    assert behaviour.distance < 0.02
 
 
 def test_a_build_goes_into_the_folder_one_stands_in(bodyplan, good, tmp_path, small, monkeypatch):
