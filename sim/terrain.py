@@ -16,7 +16,7 @@ from sim.actor import smooth_step
 from sim.model import FLOOR, Model
 
 EXTENT = 20.0  # the relief reaches so far from the origin to every side: 20 s at 1 m/s; flat ground lies beyond [m]
-CELL = 0.0625  # between the samples of a height field [m]; half of it would halve the steps per second
+CELL = 0.08  # between the samples of a height field [m]; half of it would cost a third of the steps per second
 START = 0.6  # the ground is flat so far around the origin, where the robot settles [m]
 BLEND = 0.4  # and rises to its full relief over this distance [m]
 FLIGHT = 3  # stairs go up so many steps, then down as many
@@ -156,6 +156,14 @@ def ground_at(model: Model, x: ArrayLike, y: ArrayLike) -> Array:
     return np.where(np.isfinite(top), top, 0.0)
 
 
+def is_level(model: Model) -> bool:
+    """Whether the ground of a compiled model is the bare plane z = 0, or nothing at all."""
+    ground = np.flatnonzero(model.geom_bodyid == 0)
+    return all(model.geom_type[ground] == mujoco.mjtGeom.mjGEOM_PLANE) and bool(
+        np.allclose(model.geom_pos[ground, 2], 0.0) and np.allclose(model.geom_quat[ground, 0], 1.0)
+    )
+
+
 @functools.lru_cache(maxsize=4)
 def samples(terrain: Terrain) -> NDArray[np.float32]:
     """Heights of rough ground or potholes at the grid's nodes [m], (n, n), rows along y and columns along x.
@@ -194,14 +202,16 @@ def _potholes(at: Array, terrain: Terrain, rng: np.random.Generator) -> Array:
     count = math.ceil(2 * EXTENT / tile) + 1
     radius = terrain.feature / 2 * rng.uniform(0.6, 1.0, (count, count))
     depth = terrain.height * rng.uniform(0.5, 1.0, (count, count))
-    x, y = radius + (tile - 2 * radius) * rng.random((2, count, count))  # the hole's centre within its tile
+    margin = radius + terrain.feature / 10  # so that no two holes meet
+    x, y = margin + (tile - 2 * margin) * rng.random((2, count, count))  # the hole's centre within its tile
     index = ((at + EXTENT) / tile).astype(int)
     inside = at + EXTENT - index * tile
-    row, column = index[:, None], index[None, :]
-    away = np.hypot(inside[None, :] - x[row, column], inside[:, None] - y[row, column])
-    R = radius[row, column]
-    found: Array = -depth[row, column] * smooth_step((R - away) / (0.4 * R))
-    return found
+    x, y, R, D = (value[index][:, index] for value in (x, y, radius, depth))
+    away = np.hypot(inside[None, :] - x, inside[:, None] - y)
+    hole = away < R
+    relief = np.zeros(away.shape)
+    relief[hole] = -D[hole] * smooth_step((R[hole] - away[hole]) / (0.4 * R[hole]))
+    return relief
 
 
 def _ring(terrain: Terrain, away: Array) -> NDArray[np.int64]:

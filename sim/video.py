@@ -9,9 +9,10 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
-from mfg.render import Shape, render, save_png
+from mfg.render import TILE, Shape, render, save_png
 from sim.model import Model, body_length, poses, surfaces
 from sim.rollout import CONTROL_PERIOD, Rollouts
+from sim.terrain import ground_at, is_level
 
 Image = NDArray[np.uint8]
 
@@ -24,6 +25,9 @@ PALETTE = ((0.62, 0.65, 0.69), (0.24, 0.49, 0.69), (0.90, 0.62, 0.24), (0.42, 0.
            (0.36, 0.64, 0.66), (0.83, 0.74, 0.42), (0.52, 0.47, 0.72))  # fmt: skip
 TRAIL = (0.85, 0.25, 0.20)  # where the camera has followed the centre of mass
 TRAIL_WIDTH = 0.008  # [m]
+GROUND = ((0.95, 0.95, 0.94), (0.84, 0.84, 0.83))  # tiles of ground that is not level
+GROUND_LINES = (0.005, 0.25, 0.5, 0.75, 0.995)  # where in a tile its height is asked; a step may lie between two tiles
+GROUND_REACH = 2.4  # and so far about the robot, in half body lengths
 MUJOCO_GREY = (0.5, 0.5, 0.5, 1.0)  # a geom without a colour
 
 
@@ -79,14 +83,19 @@ def _draw(
 ) -> Iterator[Image]:
     shapes = _shapes(model)
     reach = 0.5 * body_length(model)
-    height = float(rollouts.com[index, :, 2].max())
-    centre = _smoothed(rollouts.com[index, :, :2], round(FOLLOW / CONTROL_PERIOD))
+    level = is_level(model)
+    com = rollouts.com[index]
+    centre = _smoothed(com[:, :2], round(FOLLOW / CONTROL_PERIOD))
+    height = float((com[:, 2] - ground_at(model, com[:, 0], com[:, 1])).max())
+    trail = np.column_stack([centre, ground_at(model, *centre.T)])
     for moment, pose in zip(moments, poses(model, rollouts.qpos[index, moments]), strict=True):
-        x, y = centre[moment]
-        bounds = np.array([[x - reach, y - reach, FLOOR], [x + reach, y + reach, height + 0.5 * reach]])
+        x, y, z = trail[moment]
+        bounds = np.array([[x - reach, y - reach, z], [x + reach, y + reach, z + height + 0.5 * reach]])
         moved = [shape.moved(pose[geom]) for geom, shape in shapes]
-        moved += _trail(centre[: moment + 1])
-        yield render(moved, size, floor=FLOOR, bounds=bounds, draft=draft)
+        moved += _trail(trail[: moment + 1])
+        if not level:
+            moved += _ground(model, (x, y), GROUND_REACH * reach)
+        yield render(moved, size, floor=level and FLOOR, bounds=bounds, draft=draft)
 
 
 def _shapes(model: Model) -> list[tuple[int, Shape]]:
@@ -102,21 +111,36 @@ def _shapes(model: Model) -> list[tuple[int, Shape]]:
     return shapes
 
 
+def _ground(model: Model, centre: tuple[float, float], reach: float) -> list[Shape]:
+    """A tiled piece of the ground about a place; the tiles lie still in the world."""
+    first = np.floor((np.array(centre) - reach) / TILE).astype(int)
+    tiles = np.arange(int(np.ceil(2 * reach / TILE)) + 1)
+    column, row = (np.repeat(k + tiles, len(GROUND_LINES)) for k in first)
+    x, y = np.meshgrid(*(TILE * (k + np.tile(GROUND_LINES, len(tiles))) for k in (column, row)))
+    vertices = np.stack([x, y, ground_at(model, x, y)], axis=-1).reshape(-1, 3)
+    corner = np.arange(len(vertices)).reshape(x.shape)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
+    quads = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=-2)
+    odd = (row[:-1, None] + column[None, :-1]) % 2
+    return [Shape(vertices, quads[odd == k].reshape(-1, 3), colour) for k, colour in enumerate(GROUND)]
+
+
 def _trail(path: NDArray[np.float64]) -> list[Shape]:
-    """A ribbon on the floor along a path (k, 2)."""
+    """A ribbon on the ground along a path (k, 3)."""
     path = path[:: max(1, round(0.1 / CONTROL_PERIOD))]
     if len(path) < 2:
         return []
     along = np.gradient(path, axis=0)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    across = np.stack([-along[:, 1], along[:, 0], np.zeros(len(path))], axis=1)
     across *= 0.5 * TRAIL_WIDTH / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    flat = np.concatenate([path + across, path - across])
+    raised = path + np.array([0.0, 0.0, 0.001])
+    flat = np.concatenate([raised + across, raised - across])
     n = len(path)
     left = np.arange(n - 1)
     triangles = np.concatenate([
         np.stack([left, left + n, left + 1], axis=1), np.stack([left + 1, left + n, left + n + 1], axis=1)
     ])  # fmt: skip
-    return [Shape(np.column_stack([flat, np.full(2 * n, FLOOR + 0.001)]), triangles, TRAIL)]
+    return [Shape(flat, triangles, TRAIL)]
 
 
 def _is_plain(colour: tuple[float, float, float, float]) -> bool:
