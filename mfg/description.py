@@ -7,16 +7,45 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from mfg.addresses import can_address, turn_sign
 from mfg.blueprint import Blueprint, Transform
-from mfg.catalogue import Motor
+from mfg.catalogue import Filament, Motor
+from mfg.fields import Field
 from mfg.masses import body_masses
+from mfg.parts import PAPER
 from mfg.solids import surface
 
 HULL_VERTICES = 128  # at most, per link
+FULL_HULL = 10**6  # more vertices than any hull has
 _ROUND = 32  # corners added at a time
+_DEPTH_KNOWN = 0.03  # from a bone's surface, at least so far out [m]
+
+
+@dataclass(frozen=True, slots=True)
+class SkinMaterial:
+    """The printed soft material as its mechanics need it.
+
+    Attributes:
+        youngs_modulus: of the solid filament [Pa].
+        wall: thickness of the perimeters, walls times line width [m].
+        infill: share of the inside that is filled, 0 to 1.
+        density: of the solid filament [kg/m3].
+    """
+
+    youngs_modulus: float
+    wall: float
+    infill: float
+    density: float
+
+
+def skin_material(filament: Filament, line_width: float) -> SkinMaterial:
+    """What a filament's record and the printer's line width [m] say about a skin."""
+    return SkinMaterial(filament.youngs_modulus, filament.walls * line_width, filament.infill, filament.density)
+
+
+PAPER_SKIN = skin_material(PAPER.soft, PAPER.printer.line_width)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -30,7 +59,9 @@ class Link:
         mass: [kg], with everything mounted in it.
         com: centre of mass in the link frame [m], (3,).
         inertia: about the centre of mass, in link axes [kg.m2], (3, 3).
-        hull: vertices of a convex hull of bone and skin in the link frame [m], (n, 3), n <= 128.
+        hull: vertices of a convex hull of bone and skin in the link frame [m], (n, 3); at most 128 unless more were
+            asked for.
+        skin_thickness: of the soft skin between bone and hull, the mean over the hull's vertices [m]; 0 is bare bone.
     """
 
     name: str
@@ -40,6 +71,7 @@ class Link:
     com: NDArray[np.float64]
     inertia: NDArray[np.float64]
     hull: NDArray[np.float64]
+    skin_thickness: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,6 +109,7 @@ class Description:
         T_link_imu: pose of the IMU in that link's frame, (4, 4).
         source: "blueprint" where motors and electronics have their seats, "design" before.
         standing_height: height of the root link's origin above the ground when the lowest hull vertex touches it [m].
+        skin: the material of every link's skin.
     """
 
     name: str
@@ -86,6 +119,7 @@ class Description:
     T_link_imu: Transform
     source: Literal["design", "blueprint"]
     standing_height: float
+    skin: SkinMaterial = PAPER_SKIN
 
     @property
     def mass(self) -> float:
@@ -100,8 +134,12 @@ class Description:
         return np.array(origins)
 
 
-def describe(blueprint: Blueprint) -> Description:
+def describe(blueprint: Blueprint, *, hull_vertices: int = HULL_VERTICES) -> Description:
     """Describe a blueprint that has bodies and hinges, whatever stages have run since.
+
+    Args:
+        blueprint: the robot.
+        hull_vertices: at most so many corners of each hull are kept; FULL_HULL keeps all.
 
     Raises:
         ValueError: if the blueprint has no bodies yet.
@@ -115,10 +153,11 @@ def describe(blueprint: Blueprint) -> Description:
     for index, body in enumerate(blueprint.bodies):
         origin, parent = np.asarray(origins[index], np.float64), parents[index]
         properties = masses[index]
+        hull = thinned(_surface_points(blueprint, index), hull_vertices)
         links.append(Link(
             name=body.name, parent=parent, T=origin if parent < 0 else origin - origins[parent], mass=properties.mass,
             com=properties.com - origin, inertia=properties.inertia,
-            hull=thinned(_surface_points(blueprint, index)) - origin,
+            hull=hull - origin, skin_thickness=0.0 if body.skin is None else _mean_cover(body.bone, hull),
         ))  # fmt: skip
     joints = tuple(
         DescribedJoint(
@@ -136,6 +175,7 @@ def describe(blueprint: Blueprint) -> Description:
     return Description(
         name=blueprint.design.key, links=tuple(links), joints=joints, imu_link=imu_link, T_link_imu=T_link_imu,
         source="blueprint" if blueprint.seats else "design", standing_height=float(origins[0][2]) - lowest,
+        skin=skin_material(blueprint.catalogue.soft, blueprint.catalogue.printer.line_width),
     )  # fmt: skip
 
 
@@ -146,6 +186,8 @@ def thinned(points: NDArray[np.float64], most: int = HULL_VERTICES) -> NDArray[n
     corners stand out farthest from the hull of the chosen ones.
     """
     corners = points[np.sort(ConvexHull(points).vertices)]
+    if len(corners) <= most:
+        return corners
     directions = np.concatenate([np.eye(3), -np.eye(3), _spread_directions(max(most // 2 - 6, 1))])
     chosen = np.unique((corners @ directions.T).argmax(0))
     while len(chosen) < min(most, len(corners)):
@@ -167,6 +209,16 @@ def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
         return np.concatenate(solids)
     shape = blueprint.bodies[body]
     return surface(shape.bone if shape.skin is None else shape.skin)[0]  # a skin field holds its bone
+
+
+def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:
+    """Mean distance of points (n, 3) on the skin from the bone [m]; a point inside the bone counts as 0."""
+    distance = -bone.sample(points).astype(np.float64)
+    far = distance > _DEPTH_KNOWN
+    if far.any():  # a bone's depth is kept near it only
+        at_surface = np.argwhere(np.abs(bone.values) < bone.spacing)
+        distance[far] = cKDTree(bone.origin + at_surface * bone.spacing).query(points[far])[0]
+    return float(np.maximum(distance, 0.0).mean())
 
 
 def _spread_directions(count: int) -> NDArray[np.float64]:

@@ -21,6 +21,8 @@ FRICTION = (0.8, 0.005, 0.0001)  # sliding of TPU on a floor (assumed), torsion 
 STALL_OVER_PEAK = 2.0  # (assumed) what the winding would give at stall over what the driver allows
 TIMESTEP = 0.004  # [s]
 CONTACT_TIME = 0.02  # time constant of the soft skin's contact [s]
+SKIN_MATERIAL = "skin_material"  # numeric of an MJCF: solid modulus [Pa], wall [m], infill, solid density [kg/m3]
+SKIN_THICKNESS = "skin_thickness:"  # and, with a link's name behind it, how thick its skin is [m]
 _GREY = "#D9DCE1"
 
 
@@ -120,6 +122,12 @@ def mjcf(description: Description, visuals: Sequence[Visual] = ()) -> str:
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", meshdir=MESHES)
     ET.SubElement(root, "option", timestep=_number(TIMESTEP), integrator="implicitfast", cone="elliptic", impratio="10")
     ET.SubElement(root, "size", nuser_actuator="1")
+    custom = ET.SubElement(root, "custom")
+    skin = description.skin
+    material = (skin.youngs_modulus, skin.wall, skin.infill, skin.density)
+    ET.SubElement(custom, "numeric", name=SKIN_MATERIAL, data=_numbers(material))
+    for link in description.links:
+        ET.SubElement(custom, "numeric", name=SKIN_THICKNESS + link.name, data=_number(link.skin_thickness))
     default = ET.SubElement(root, "default")
     seen = ET.SubElement(default, "default", {"class": "visual"})
     ET.SubElement(seen, "geom", type="mesh", mass="0", contype="0", conaffinity="0", group="2")

@@ -10,16 +10,21 @@ from typing import TypeAlias
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from mfg.catalogue import Motor
-from mfg.description import HULL_VERTICES, DescribedJoint, Description
-from mfg.robot_files import CONTACT_TIME, FRICTION, STALL_OVER_PEAK, TIMESTEP
+from mfg.description import HULL_VERTICES, PAPER_SKIN, DescribedJoint, Description, SkinMaterial
+from mfg.robot_files import CONTACT_TIME, FRICTION, SKIN_MATERIAL, SKIN_THICKNESS, STALL_OVER_PEAK, TIMESTEP
+from sim.self_collision import let_links_touch
+from sim.skin import Fidelity, apply, skin_name
+from sim.skin_law import Cover
 
 CONTINUOUS_OVER_PEAK = 1.0 / 3.0  # (assumed) for a model file that does not say
 WIRE_STIFFNESS_STEP = 1.0  # the least change of kp on the wire [N.m/rad]
 WIRE_DAMPING_STEP = 0.2  # the least change of kd on the wire [N.m.s/rad]
 IMU = "imu"  # name of the site that carries the IMU
 FLOOR = "floor"  # name of the ground plane
+OLD_THICKNESS = 0.02  # of every link's skin, for a model file that does not say [m]
 
 Model: TypeAlias = mujoco.MjModel
 
@@ -50,33 +55,46 @@ class Drive:
     continuous_torque: NDArray[np.float64]
 
 
-def compile_model(description: Description, *, timestep: float = TIMESTEP) -> Model:
+def compile_model(
+    description: Description, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
+    self_collision: bool = False, contact_time: float | None = None,
+) -> Model:  # fmt: skip
     """Build the model of a robot on a floor: x forward, y left, z up, the root above the origin.
 
     Each link has its described mass, centre and inertia and one massless convex hull, which touches the floor only.
     Each hinge has a `dcmotor` with the motor's peak torque, torque-speed line, gains as the wire quantises them,
     armature, dry friction and latency; its control is the target angle [rad].
 
+    Args:
+        description: of the robot.
+        timestep: of the physics [s]; the fidelity's own by default.
+        fidelity: how the soft skin is modelled.
+        self_collision: whether links may touch one another, see `sim.self_collision`.
+        contact_time: time constant of soft contacts [s], instead of those fitted to the skins.
+
     Raises:
-        ValueError: if there is no joint, or a link's mass, inertia or hull is not that of a body.
+        ValueError: if there is no joint, or a link's mass, inertia or hull is not that of a body, or links are to touch
+            that are finite elements.
     """
-    spec = make_spec(description, timestep=timestep)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise ValueError(f"robot {description.name} is no model: {_first_line(error)}") from None
+    spec = make_spec(
+        description, timestep=timestep, fidelity=fidelity, self_collision=self_collision, contact_time=contact_time
+    )
+    return _compiled(spec, description.name)
 
 
-def make_spec(description: Description, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
+def make_spec(
+    description: Description, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
+    self_collision: bool = False, contact_time: float | None = None,
+) -> mujoco.MjSpec:  # fmt: skip
     """The specification behind `compile_model`, which can still be edited."""
     if not description.joints:
         raise ValueError(f"robot {description.name} has no joint to drive; it needs at least one")
+    timestep = fidelity.timestep if timestep is None else timestep
     _log_nothing()
     spec = mujoco.MjSpec()
     spec.modelname = description.name
     spec.compiler.degree = False
     spec.nuser_actuator = 1
-    _set_world(spec, timestep)
     bodies: list[mujoco.MjsBody] = []
     hinges = {joint.link: joint for joint in description.joints}
     for index, link in enumerate(description.links):
@@ -90,38 +108,63 @@ def make_spec(description: Description, *, timestep: float = TIMESTEP) -> mujoco
             body.add_freejoint(name="base")
         elif index in hinges:
             _add_hinge(body, hinges[index])
-        spec.add_mesh(name=link.name, uservert=np.ravel(link.hull), maxhullvert=HULL_VERTICES)
-        body.add_geom(
-            name=link.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=link.name, mass=0.0, contype=0, conaffinity=1,
-            condim=3, friction=FRICTION, solref=(CONTACT_TIME, 1.0),
-        )  # fmt: skip
         bodies.append(body)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ravel(description.T_link_imu[:3, :3]).astype(np.float64))
     bodies[description.imu_link].add_site(name=IMU, pos=description.T_link_imu[:3, 3], quat=quaternion)
+    skeleton = _compiled(spec, description.name)  # without hulls, which are what takes time
+    _set_world(spec, timestep)
+    most = -1 if fidelity is Fidelity.HULL else HULL_VERTICES
+    for link, body in zip(description.links, bodies, strict=True):
+        spec.add_mesh(name=link.name, uservert=np.ravel(link.hull), maxhullvert=most)
+        body.add_geom(
+            name=link.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=link.name, mass=0.0, contype=0, conaffinity=1,
+            condim=3, friction=FRICTION, solref=(CONTACT_TIME, 1.0),
+        )  # fmt: skip
     for joint in description.joints:
         add_motor(spec, joint.name, joint.motor, timestep)
+    inner = {link.parent for link in description.links}
+    covers = [
+        Cover(link.name, link.skin_thickness, link.hull, link.mass, link.com, link.inertia, index not in inner,
+              float(skeleton.body(link.name).invweight0[0]))
+        for index, link in enumerate(description.links)
+    ]  # fmt: skip
+    parents = {link.name: description.links[link.parent].name for link in description.links if link.parent >= 0}
+    _finish(spec, description.name, fidelity, covers, description.skin, parents, self_collision, contact_time)
     return spec
 
 
-def load_model(path: Path | str, *, timestep: float = TIMESTEP) -> Model:
-    """Read a robot from an MJCF file into the same world as `compile_model`: floor, contact law and integrator.
+def load_model(
+    path: Path | str, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
+    self_collision: bool = False, contact_time: float | None = None,
+) -> Model:  # fmt: skip
+    """Read a robot from an MJCF file into the same world as `compile_model`: floor, contact law, skin and integrator.
 
     Raises:
-        ModelError: if the file is no MJCF, or not a floating robot with driven hinges.
+        ModelError: if the file is no MJCF, or not a floating robot with driven hinges, or says nonsense of its skin.
         OSError: if it cannot be read.
     """
-    spec = load_spec(path, timestep=timestep)
+    spec = load_spec(
+        path, timestep=timestep, fidelity=fidelity, self_collision=self_collision, contact_time=contact_time
+    )
     try:
         return spec.compile()
     except ValueError as error:
         raise ModelError(f"{path}: {_first_line(error)}") from None
 
 
-def load_spec(path: Path | str, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
-    """Read an MJCF file as a specification that can still be edited; see `load_model`."""
+def load_spec(
+    path: Path | str, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
+    self_collision: bool = False, contact_time: float | None = None,
+) -> mujoco.MjSpec:  # fmt: skip
+    """Read an MJCF file as a specification that can still be edited; see `load_model`.
+
+    The file's own numerics say what its skin is (`mfg.robot_files`); where it has none, the paper's skin is taken,
+    20 mm thick.
+    """
     path = Path(path)
     path.open("rb").close()  # a missing file is an OSError, not a parser's complaint
+    timestep = fidelity.timestep if timestep is None else timestep
     _log_nothing()
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -139,6 +182,15 @@ def load_spec(path: Path | str, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
         if actuator.delay > 0:
             actuator.nsample = _samples(actuator.delay, timestep)
     _set_world(spec, timestep)
+    if fidelity is Fidelity.HULL:
+        for mesh in spec.meshes:
+            mesh.maxhullvert = -1
+    try:
+        material, thicknesses = _skin_of(spec)
+        covers, parents = _covers(spec, thicknesses)
+        _finish(spec, spec.modelname, fidelity, covers, material, parents, self_collision, contact_time)
+    except ValueError as error:
+        raise ModelError(f"{path}: {_first_line(error)}") from None
     return spec
 
 
@@ -243,6 +295,89 @@ def body_length(model: Model) -> float:
     ])  # fmt: skip
     gap = points[:, None, :] - points[None, :, :]
     return float(np.sqrt((gap**2).sum(-1).max()))
+
+
+def _finish(
+    spec: mujoco.MjSpec, name: str, fidelity: Fidelity, covers: list[Cover], material: SkinMaterial,
+    parents: dict[str, str], self_collision: bool, contact_time: float | None,
+) -> None:  # fmt: skip
+    """Put the skins on, and let links touch if they may."""
+    if self_collision and fidelity.cells:
+        raise ValueError(f"robot {name}: links of finite elements do not touch one another; use another fidelity")
+    try:
+        apply(spec, fidelity, covers, material, contact_time)
+        if self_collision:
+            pads = {c.name: skin_name(c.name) if c.is_soft and fidelity is Fidelity.SPRUNG else c.name for c in covers}
+            kin = {pads[a]: pads[b] for a, b in parents.items() if a in pads and b in pads}
+            let_links_touch(spec, list(pads.values()), kin)
+    except ValueError as error:
+        raise ValueError(f"robot {name} is no model: {_first_line(error)}") from None
+
+
+def _skin_of(spec: mujoco.MjSpec) -> tuple[SkinMaterial, dict[str, float] | None]:
+    """The skin's material and its thickness by link [m], as a file's numerics say; None for a file that does not.
+
+    Raises:
+        ValueError: if they are not the numbers of a skin.
+    """
+    numbers = {numeric.name: [float(v) for v in numeric.data] for numeric in spec.numerics}
+    told = {name.removeprefix(SKIN_THICKNESS): v for name, v in numbers.items() if name.startswith(SKIN_THICKNESS)}
+    if SKIN_MATERIAL not in numbers and not told:
+        return PAPER_SKIN, None
+    values = numbers.get(SKIN_MATERIAL, [])
+    if len(values) != 4 or not all(0 < v < math.inf for v in values) or values[2] > 1 or values[1] > 1:
+        raise ValueError(f"numeric {SKIN_MATERIAL!r} is {values}; it must be modulus [Pa], wall [m], infill up to 1 and "
+                         "density [kg/m3], all above 0")  # fmt: skip
+    for link, thickness in told.items():
+        if len(thickness) != 1 or not 0 <= thickness[0] < 1:
+            raise ValueError(f"numeric {SKIN_THICKNESS + link!r} is {thickness}; it must be one thickness in [0, 1) m")
+    return SkinMaterial(*values), {link: thickness[0] for link, thickness in told.items()}
+
+
+def _covers(
+    spec: mujoco.MjSpec, thicknesses: dict[str, float] | None
+) -> tuple[list[Cover], dict[str, str]]:  # fmt: skip
+    """The skin of every link whose hull is a mesh of the link's name, and the parent of each such link.
+
+    Raises:
+        ValueError: if the file does not compile, or tells of the skins of other links than it has.
+    """
+    model = spec.compile()
+    links = [model.body(body).name for body in range(1, model.nbody)]
+    hulls = {surface.body: surface for surface in surfaces(model)
+             if surface.touches and model.geom(surface.geom).name == model.body(surface.body).name}  # fmt: skip
+    if thicknesses is not None:
+        covered = {model.body(body).name for body in hulls}
+        if set(thicknesses) != covered:
+            odd = sorted(set(thicknesses) ^ covered)[0]
+            raise ValueError(f"link {odd!r} has either a hull or a numeric {SKIN_THICKNESS + odd!r}; it must have both")
+    inner = {int(parent) for parent in model.body_parentid[1:]}
+    covers, parents = [], {}
+    for body, surface in sorted(hulls.items()):
+        name, turn = links[body - 1], _matrix(model.body_iquat[body])
+        inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+        points = surface.vertices @ _matrix(model.geom_quat[surface.geom]).T + model.geom_pos[surface.geom]
+        points = points[np.sort(ConvexHull(points).vertices)]
+        covers.append(Cover(
+            name, OLD_THICKNESS if thicknesses is None else thicknesses[name], points, float(model.body_mass[body]),
+            model.body_ipos[body].copy(), inertia, body not in inner, float(model.body_invweight0[body, 0]),
+        ))  # fmt: skip
+        if model.body_parentid[body]:
+            parents[name] = links[model.body_parentid[body] - 1]
+    return covers, parents
+
+
+def _matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    found = np.zeros(9)
+    mujoco.mju_quat2Mat(found, quaternion)
+    return found.reshape(3, 3)
+
+
+def _compiled(spec: mujoco.MjSpec, name: str) -> Model:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ValueError(f"robot {name} is no model: {_first_line(error)}") from None
 
 
 def _add_hinge(body: mujoco.MjsBody, joint: DescribedJoint) -> None:
