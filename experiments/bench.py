@@ -31,6 +31,7 @@ SEED = 0
 DECODE, DECODE_MANY = 0.3, 0.08  # goals for a body decoded by itself and in a batch [s]
 BATCH, BATCHES = 32, 5  # bodies of a batch, and how many are timed
 SCORE, BUILD, BARE = 0.15, 0.7, 0.95  # goals of the design, on two cores: [s], [s], ratio
+MODEL = 0.06  # goal for a virtual robot, from voxels to what MuJoCo steps [s]
 HELP_TIME = 0.5  # goal [s]
 GAITS, GAIT_SECONDS, REPEATS = 16, 4.0, 3  # of the comparison with the bare simulator
 MIB = 2**20
@@ -73,8 +74,10 @@ def designs(n: int) -> Iterator[Row]:
     import numpy as np
 
     from decoder.latent import DEFAULT_DECODER, make_decoder, sample_latents
+    from mfg.description import describe
     from mfg.export import write_blueprint
-    from mfg.pipeline import build, score
+    from mfg.pipeline import build, score, virtual
+    from sim.model import compile_model
 
     decoder = make_decoder(DEFAULT_DECODER)
     latents = sample_latents(n + 1, np.random.default_rng(SEED))
@@ -88,8 +91,11 @@ def designs(n: int) -> Iterator[Row]:
     together = statistics.median(clock(lambda: decoder.decode(many)) for _ in range(BATCHES)) / BATCH
     score(bodies[0])  # Warms caches that every process fills once.
     scored = [timed(score, body) for body in progress(bodies[1:], n, "score")]
+    robots = [body for body in bodies if virtual(body).ok]
+    models = [timed(lambda b: compile_model(describe(virtual(b).blueprint)), body)[0] for body in robots]
     yield row("decode, one body", statistics.median(decode[1:]), "s/design", f"<= {DECODE}", DEFAULT_DECODER)
     yield row(f"decode, {BATCH} together", together, "s/design", f"<= {DECODE_MANY}", DEFAULT_DECODER)
+    yield row("voxels to compiled model", statistics.median(models), "s/design", f"<= {MODEL}", "virtual robot")
     yield row("score, any design", statistics.median(t for t, _ in scored), "s/design", f"<= {SCORE}")
     passed = [(t, o) for t, o in scored if o.ok]
     if not passed:
