@@ -7,19 +7,19 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from mfg.addresses import can_address, turn_sign
 from mfg.blueprint import Blueprint, Transform
 from mfg.catalogue import Filament, Motor
 from mfg.fields import Field
+from mfg.hulls import thinned
 from mfg.masses import body_masses
 from mfg.parts import PAPER
 from mfg.solids import surface
 
 HULL_VERTICES = 128  # at most, per link
 FULL_HULL = 10**6  # more vertices than any hull has
-_ROUND = 32  # corners added at a time
 _DEPTH_KNOWN = 0.03  # from a bone's surface, at least so far out [m]
 
 
@@ -179,29 +179,6 @@ def describe(blueprint: Blueprint, *, hull_vertices: int = HULL_VERTICES) -> Des
     )  # fmt: skip
 
 
-def thinned(points: NDArray[np.float64], most: int = HULL_VERTICES) -> NDArray[np.float64]:
-    """At most `most` corners of the convex hull of points (n, 3), in a fixed order, that leave out little.
-
-    The points extreme in spread directions come first, those of the axes among them; then, in a few rounds, whichever
-    corners stand out farthest from the hull of the chosen ones.
-    """
-    corners = points[np.sort(ConvexHull(points).vertices)]
-    if len(corners) <= most:
-        return corners
-    directions = np.concatenate([np.eye(3), -np.eye(3), _spread_directions(max(most // 2 - 6, 1))])
-    chosen = np.unique((corners @ directions.T).argmax(0))
-    while len(chosen) < min(most, len(corners)):
-        hull = ConvexHull(corners[chosen])
-        outside = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
-        farthest = outside.argmax(0)  # of each facet
-        rank = np.argsort(-outside[farthest, np.arange(len(farthest))], kind="stable")
-        fresh = [k for k in dict.fromkeys(farthest[rank].tolist()) if k not in set(chosen.tolist())]
-        if not fresh:
-            break
-        chosen = np.sort(np.concatenate([chosen, fresh[: min(_ROUND, most - len(chosen))]]).astype(np.int64))
-    return corners[chosen]
-
-
 def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
     """Points on the surface of a body's bone and skin [m], (n, 3)."""
     solids = [part.solid.vertices for part in blueprint.parts if part.body == body]
@@ -219,12 +196,3 @@ def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:
         at_surface = np.argwhere(np.abs(bone.values) < bone.spacing)
         distance[far] = cKDTree(bone.origin + at_surface * bone.spacing).query(points[far])[0]
     return float(np.maximum(distance, 0.0).mean())
-
-
-def _spread_directions(count: int) -> NDArray[np.float64]:
-    """Unit vectors spread evenly over the sphere (Fibonacci lattice), (count, 3)."""
-    k = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * k / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
-    radius = np.sqrt(1.0 - z**2)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)

@@ -9,7 +9,8 @@ from scipy.spatial import ConvexHull
 
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
-from mfg.description import HULL_VERTICES, Description, describe, thinned
+from mfg.description import HULL_VERTICES, Description, describe
+from mfg.hulls import thinned
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score, virtual
 
