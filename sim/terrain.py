@@ -24,7 +24,7 @@ BASE = 0.3  # thickness of the ground below a height field's lowest point [m]
 DROP = 0.02  # from there to the flat ground that lies beyond a height field [m]
 BEYOND = FLOOR + "_beyond"  # name of that
 STEP = FLOOR + "_step_"  # the boxes of stairs are named by this and a number
-BOUNDS = {"height": (0.0, 0.3), "feature": (0.2, 2.0), "angle": (-0.6, 0.6)}
+BOUNDS = {"height": (0.0, 0.3), "feature": (0.2, 2.0), "angle": (-0.7, 0.7)}
 
 Array = NDArray[np.float64]
 

@@ -15,22 +15,14 @@ from mfg.parts import J60_6
 from mfg.robot_files import mesh_files, mjcf
 from sim.model import (
     CONTACT_TIME,
-    STALL_OVER_PEAK,
     ModelError,
     body_length,
     compile_model,
     drive_of,
     load_model,
-    make_spec,
     model_name,
     quantised,
 )
-
-
-def passive(model: mujoco.MjModel) -> mujoco.MjModel:
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    return model
 
 
 def test_every_link_keeps_its_mass_centre_and_inertia(quadruped: Description) -> None:
@@ -89,78 +81,6 @@ def test_body_length_is_the_greatest_extent(quadruped: Description) -> None:
     points = np.concatenate([o + link.hull for o, link in zip(quadruped.origins(), quadruped.links, strict=True)])
     longest = max(float(np.linalg.norm(a - b)) for a in points for b in points)
     assert_allclose(body_length(compile_model(quadruped)), longest, rtol=1e-6)
-
-
-def test_a_dropped_robot_falls_by_half_g_t_squared(quadruped: Description) -> None:
-    model = passive(compile_model(quadruped, timestep=0.001))
-    data = mujoco.MjData(model)
-    data.qpos[2] = start = 50.0
-    mujoco.mj_step(model, data, nstep=1000)
-    # A stepped integrator falls half a step further than the exact law.
-    assert_allclose(start - data.qpos[2], 0.5 * 9.81 * 1.0**2, rtol=2e-3)
-
-
-def test_a_pendulum_swings_with_its_period(pendulum: Description) -> None:
-    free = replace(J60_6, friction=0.0, armature=0.0)
-    joint = replace(pendulum.joints[0], motor=free)
-    spec = make_spec(replace(pendulum, joints=(joint,)), timestep=0.001)
-    spec.body("root").gravcomp = 1.0  # the root is held up, so that gravity acts on the bob alone
-    model = passive(spec.compile())
-    data = mujoco.MjData(model)
-    data.qpos[7] = amplitude = 0.05
-    crossings = []
-    for _ in range(6000):
-        before = data.qpos[7]
-        mujoco.mj_step(model, data)
-        if before < 0 <= data.qpos[7]:
-            crossings.append(data.time - model.opt.timestep * data.qpos[7] / (data.qpos[7] - before))
-    rod = pendulum.links[1]
-    moment = rod.inertia[1, 1] + rod.mass * 0.15**2
-    exact = 2 * np.pi * np.sqrt(moment / (rod.mass * 9.81 * 0.15)) * (1 + amplitude**2 / 16)
-    assert_allclose(np.diff(crossings).mean(), exact, rtol=1e-3)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_passive_robot_never_gains_energy(quadruped: Description, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    model = passive(compile_model(quadruped))
-    data = mujoco.MjData(model)
-    data.qpos[2] = 0.4
-    data.qpos[3:7] = rng.standard_normal(4)
-    data.qvel[:6] = rng.standard_normal(6)
-    data.qpos[7:] = rng.uniform(-0.8, 0.8, 4)
-    energy = []
-    for _ in range(750):
-        mujoco.mj_step(model, data)
-        energy.append(data.energy.sum())
-    spare = 0.02 * energy[0]  # springs of contacts and stops store and return a little
-    assert (np.array(energy) <= np.minimum.accumulate(energy) + spare).all()
-    assert energy[-1] < 0.6 * energy[0]
-
-
-def torque_at(model: mujoco.MjModel, speed: float, target: float) -> float:
-    data = mujoco.MjData(model)
-    data.qvel[6] = speed
-    data.ctrl[:] = target
-    mujoco.mj_forward(model, data)
-    return float(data.actuator_force[0])
-
-
-def test_the_motor_gives_its_peak_at_stall_and_nothing_at_its_no_load_speed(pendulum: Description) -> None:
-    prompt = replace(pendulum.joints[0], motor=replace(J60_6, latency=0.0))
-    model = compile_model(replace(pendulum, joints=(prompt,)))
-    far = 100.0  # a target so far away that the motor does all it can
-    assert_allclose(torque_at(model, 0.0, far), J60_6.peak_torque)
-    assert_allclose(torque_at(model, J60_6.max_speed, far), 0.0, atol=1e-9)
-    speed = 0.9 * J60_6.max_speed
-    assert_allclose(torque_at(model, speed, far), 0.1 * STALL_OVER_PEAK * J60_6.peak_torque)
-    assert torque_at(model, 1.2 * J60_6.max_speed, far) < 0
-
-
-def test_within_its_limits_the_motor_is_the_wires_proportional_derivative_law(pendulum: Description) -> None:
-    odd = replace(J60_6, latency=0.0, stiffness=20.9, damping=0.5)
-    model = compile_model(replace(pendulum, joints=(replace(pendulum.joints[0], motor=odd),)))
-    assert_allclose(torque_at(model, 1.5, 0.3), 20.0 * 0.3 - 0.4 * 1.5)
 
 
 def test_gains_are_rounded_down_to_the_wires_steps() -> None:

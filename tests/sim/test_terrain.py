@@ -256,7 +256,7 @@ def test_the_command_line_offers_every_kind() -> None:
         ("height", -0.01, r"height is -0.01 m; it must lie in \[0.0, 0.3\] m"),
         ("height", np.nan, r"height is nan m"),
         ("feature", 0.1, r"feature is 0.1 m; it must lie in \[0.2, 2.0\] m"),
-        ("angle", 1.0, r"angle is 1.0 rad; it must lie in \[-0.6, 0.6\] rad"),
+        ("angle", 1.0, r"angle is 1.0 rad; it must lie in \[-0.7, 0.7\] rad"),
         ("seed", -1, r"seed is -1; it must be 0 or more"),
     ],
 )
