@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 HELP = "let a blueprint or a design walk, measure it and film it"
 MODEL_FILE = "robot.xml"
 FILMS = (".mp4", ".png")
+FIDELITIES = ("compliant", "hull", "sprung", "flex", "flex-fine")  # of sim.skin.Fidelity, whose import is heavy
 TERRAINS = ("flat", "rough", "potholes", "slope", "steps")  # of sim.terrain.Kind
 
 
@@ -33,6 +34,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=0, help="of the search for a gait, and of the terrain (0)")
     parser.add_argument("--virtual", action="store_true", help="a design as drawn, before any hardware is put into it")
     parser.add_argument("--terrain", choices=TERRAINS, default="flat", help="what it walks on (flat)")
+    parser.add_argument("--fidelity", choices=FIDELITIES, default=FIDELITIES[0], metavar="|".join(FIDELITIES),
+                        help=f"how the soft skin is modelled; the later, the slower ({FIDELITIES[0]})")  # fmt: skip
     add_pipeline_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
@@ -72,8 +75,9 @@ def main(args: argparse.Namespace) -> int:
 def _model(args: argparse.Namespace) -> Model | None:
     """The model of a blueprint or a design, or None where the design cannot be built and the reason was said."""
     from sim.model import load_spec, make_spec
+    from sim.skin import Fidelity
 
-    path, virtual = args.robot, args.virtual
+    path, virtual, fidelity = args.robot, args.virtual, Fidelity(args.fidelity)
     if path.is_dir() or path.suffix.lower() == ".xml":
         file = path / MODEL_FILE if path.is_dir() else path
         if path.is_dir() and not file.exists():
@@ -83,11 +87,11 @@ def _model(args: argparse.Namespace) -> Model | None:
         if virtual:
             raise BadInput(f"--virtual needs a design, and {path} is a blueprint: its hardware is in it already")
         try:
-            return _compiled(load_spec(file), args)
+            return _compiled(load_spec(file, fidelity=fidelity), args)
         except ValueError as error:
             raise BadInput(f"{file}: {str(error).removeprefix(f'{file}: ')}".splitlines()[0]) from None
     from mfg import pipeline
-    from mfg.description import describe
+    from mfg.description import FULL_HULL, HULL_VERTICES, describe
 
     design = read_design(path)
     solve = pipeline.virtual if virtual else pipeline.score
@@ -96,7 +100,9 @@ def _model(args: argparse.Namespace) -> Model | None:
         hint = "" if virtual else "; --virtual simulates it all the same"
         say(f"bodyplan: {path} cannot be built: {outcome.failure}{hint}")
         return None
-    return _compiled(make_spec(describe(outcome.blueprint)), args)
+    corners = FULL_HULL if fidelity is Fidelity.HULL else HULL_VERTICES
+    description = describe(outcome.blueprint, hull_vertices=corners)
+    return _compiled(make_spec(description, fidelity=fidelity), args)
 
 
 def _compiled(spec: MjSpec, args: argparse.Namespace) -> Model:

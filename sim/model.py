@@ -10,13 +10,13 @@ from typing import TypeAlias
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from mfg.catalogue import Motor
-from mfg.description import HULL_VERTICES, PAPER_SKIN, DescribedJoint, Description, SkinMaterial
-from mfg.robot_files import CONTACT_TIME, FRICTION, SKIN_MATERIAL, SKIN_THICKNESS, STALL_OVER_PEAK, TIMESTEP
+from mfg.description import HULL_VERTICES, DescribedJoint, Description, SkinMaterial
+from mfg.robot_files import CONTACT_TIME, FRICTION, STALL_OVER_PEAK
 from sim.self_collision import let_links_touch
 from sim.skin import Fidelity, apply, skin_name
+from sim.skin_file import read_covers
 from sim.skin_law import Cover
 
 CONTINUOUS_OVER_PEAK = 1.0 / 3.0  # (assumed) for a model file that does not say
@@ -24,7 +24,6 @@ WIRE_STIFFNESS_STEP = 1.0  # the least change of kp on the wire [N.m/rad]
 WIRE_DAMPING_STEP = 0.2  # the least change of kd on the wire [N.m.s/rad]
 IMU = "imu"  # name of the site that carries the IMU
 FLOOR = "floor"  # name of the ground plane
-OLD_THICKNESS = 0.02  # of every link's skin, for a model file that does not say [m]
 
 Model: TypeAlias = mujoco.MjModel
 
@@ -159,8 +158,7 @@ def load_spec(
 ) -> mujoco.MjSpec:  # fmt: skip
     """Read an MJCF file as a specification that can still be edited; see `load_model`.
 
-    The file's own numerics say what its skin is (`mfg.robot_files`); where it has none, the paper's skin is taken,
-    20 mm thick.
+    The file's own numerics say what its skin is, see `sim.skin_file`.
     """
     path = Path(path)
     path.open("rb").close()  # a missing file is an OSError, not a parser's complaint
@@ -186,8 +184,7 @@ def load_spec(
         for mesh in spec.meshes:
             mesh.maxhullvert = -1
     try:
-        material, thicknesses = _skin_of(spec)
-        covers, parents = _covers(spec, thicknesses)
+        material, covers, parents = read_covers(spec)
         _finish(spec, spec.modelname, fidelity, covers, material, parents, self_collision, contact_time)
     except ValueError as error:
         raise ModelError(f"{path}: {_first_line(error)}") from None
@@ -312,65 +309,6 @@ def _finish(
             let_links_touch(spec, list(pads.values()), kin)
     except ValueError as error:
         raise ValueError(f"robot {name} is no model: {_first_line(error)}") from None
-
-
-def _skin_of(spec: mujoco.MjSpec) -> tuple[SkinMaterial, dict[str, float] | None]:
-    """The skin's material and its thickness by link [m], as a file's numerics say; None for a file that does not.
-
-    Raises:
-        ValueError: if they are not the numbers of a skin.
-    """
-    numbers = {numeric.name: [float(v) for v in numeric.data] for numeric in spec.numerics}
-    told = {name.removeprefix(SKIN_THICKNESS): v for name, v in numbers.items() if name.startswith(SKIN_THICKNESS)}
-    if SKIN_MATERIAL not in numbers and not told:
-        return PAPER_SKIN, None
-    values = numbers.get(SKIN_MATERIAL, [])
-    if len(values) != 4 or not all(0 < v < math.inf for v in values) or values[2] > 1 or values[1] > 1:
-        raise ValueError(f"numeric {SKIN_MATERIAL!r} is {values}; it must be modulus [Pa], wall [m], infill up to 1 and "
-                         "density [kg/m3], all above 0")  # fmt: skip
-    for link, thickness in told.items():
-        if len(thickness) != 1 or not 0 <= thickness[0] < 1:
-            raise ValueError(f"numeric {SKIN_THICKNESS + link!r} is {thickness}; it must be one thickness in [0, 1) m")
-    return SkinMaterial(*values), {link: thickness[0] for link, thickness in told.items()}
-
-
-def _covers(
-    spec: mujoco.MjSpec, thicknesses: dict[str, float] | None
-) -> tuple[list[Cover], dict[str, str]]:  # fmt: skip
-    """The skin of every link whose hull is a mesh of the link's name, and the parent of each such link.
-
-    Raises:
-        ValueError: if the file does not compile, or tells of the skins of other links than it has.
-    """
-    model = spec.compile()
-    links = [model.body(body).name for body in range(1, model.nbody)]
-    hulls = {surface.body: surface for surface in surfaces(model)
-             if surface.touches and model.geom(surface.geom).name == model.body(surface.body).name}  # fmt: skip
-    if thicknesses is not None:
-        covered = {model.body(body).name for body in hulls}
-        if set(thicknesses) != covered:
-            odd = sorted(set(thicknesses) ^ covered)[0]
-            raise ValueError(f"link {odd!r} has either a hull or a numeric {SKIN_THICKNESS + odd!r}; it must have both")
-    inner = {int(parent) for parent in model.body_parentid[1:]}
-    covers, parents = [], {}
-    for body, surface in sorted(hulls.items()):
-        name, turn = links[body - 1], _matrix(model.body_iquat[body])
-        inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
-        points = surface.vertices @ _matrix(model.geom_quat[surface.geom]).T + model.geom_pos[surface.geom]
-        points = points[np.sort(ConvexHull(points).vertices)]
-        covers.append(Cover(
-            name, OLD_THICKNESS if thicknesses is None else thicknesses[name], points, float(model.body_mass[body]),
-            model.body_ipos[body].copy(), inertia, body not in inner, float(model.body_invweight0[body, 0]),
-        ))  # fmt: skip
-        if model.body_parentid[body]:
-            parents[name] = links[model.body_parentid[body] - 1]
-    return covers, parents
-
-
-def _matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    found = np.zeros(9)
-    mujoco.mju_quat2Mat(found, quaternion)
-    return found.reshape(3, 3)
 
 
 def _compiled(spec: mujoco.MjSpec, name: str) -> Model:

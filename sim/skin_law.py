@@ -14,8 +14,8 @@ from mfg.description import SkinMaterial
 PATCH = 1.0e-3  # (assumed) area over which the floor presses a skin [m2]
 INFILL_FACTOR = 1.0  # C of Gibson and Ashby's law for open cells
 WALL_POISSON = 0.45  # (assumed) of solid TPU
-POISSON = 0.3  # (assumed) of the skin as a whole: its cells fold, so it swells less than solid rubber
-DAMPING_TIME = 0.002  # damping over stiffness of the skin [s]: a loss factor of about 0.1 for limbs at 5 to 10 Hz
+POISSON = 0.1  # (assumed) of the skin as a whole: sparse cells that fold hardly swell; from 0.2 on blocks turn unstable
+DAMPING_TIME = 0.001  # (assumed) damping over stiffness of the skin [s]: a loss factor of about 0.05 at 8 Hz
 BARE = 0.002  # thinner skin counts as bare bone: it is hardly more than its wall [m]
 CONTACTS = 2  # how many corners of a hull share the load of a link on the ground, on average (docs/fidelity.md)
 IMPEDANCE = 0.95  # MuJoCo's default for a contact deeper than a millimetre
