@@ -65,19 +65,14 @@ def total(moments: Iterable[Moments]) -> Moments:
 
 def volume_moments(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Moments:
     """Moments of the inside of a closed mesh at density 1 kg/m3 (tetrahedra from the first vertex, closed form)."""
-    anchor = vertices[0] if len(vertices) else np.zeros(3)
-    corners = vertices[triangles] - anchor
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
-    return _shifted(_of_simplices(corners, volume, 4, _TETRAHEDRON), anchor)
+    facets = _Facets.of(vertices, triangles)
+    return _shifted(facets.inside(), facets.anchor)
 
 
 def shell_moments(vertices: NDArray[np.float64], triangles: NDArray[np.int64], depth: float = 0.0) -> Moments:
     """Moments of a surface at 1 kg/m2, each triangle moved inward by `depth` [m] (closed form)."""
-    corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice = np.linalg.norm(normal, axis=1)
-    inward = normal / np.maximum(twice, 1e-300)[:, None] * depth
-    return _of_simplices(corners - inward[:, None, :], twice / 2.0, 3, _TRIANGLE)
+    facets = _Facets.of(vertices, triangles)
+    return _shifted(facets.shell(depth, facets.area), facets.anchor)
 
 
 def printed_moments(
@@ -88,14 +83,32 @@ def printed_moments(
     m = rho (t A + infill (V - t A)) with t = walls * line_width, the wall taken as a shell half its thickness below the
     surface. Where walls would fill more than the part (t A > V) it is solid: t shrinks to V / A.
     """
-    inside, surface_area = volume_moments(vertices, triangles), shell_moments(vertices, triangles).mass
-    if not inside.mass > 0 or not surface_area > 0:
-        return NOTHING
-    thickness = min(filament.walls * line_width, inside.mass / surface_area)
-    wall = shell_moments(vertices, triangles, thickness / 2)
-    return inside.scaled(filament.density * filament.infill) + wall.scaled(
-        filament.density * (1.0 - filament.infill) * thickness
-    )
+    facets = _Facets.of(vertices, triangles)
+    return _shifted(_laid_down([facets], [facets.area], filament, line_width), facets.anchor)
+
+
+def covering_moments(
+    outer: tuple[NDArray[np.float64], NDArray[np.int64]],
+    inner: tuple[NDArray[np.float64], NDArray[np.int64]],
+    covered: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    filament: Filament,
+    line_width: float,
+) -> Moments:
+    """What the slicer lays down between two closed surfaces, of which the outer one holds the inner one.
+
+    As `printed_moments` of outer less inner, whose walls run along both surfaces where these are apart.
+
+    Args:
+        outer: vertices (n, 3) [m] and triangles (m, 3).
+        inner: the same of the hollow.
+        covered: for the vertices of each, whether the other surface is farther than a printed line.
+        filament: what is printed.
+        line_width: of a printed line [m].
+    """
+    anchor = outer[0][0] if len(outer[0]) else np.zeros(3)
+    facets = [_Facets.of(*outer, anchor), _Facets.of(*inner, anchor, -1.0)]
+    lined = [f.area * c[t].mean(axis=1) for f, c, (_, t) in zip(facets, covered, (outer, inner), strict=True)]
+    return _shifted(_laid_down(facets, lined, filament, line_width), anchor)
 
 
 def box_moments(mass: float, size: Size, pose: Transform) -> Moments:
@@ -110,7 +123,7 @@ def cylinder_moments(mass: float, radius: float, length: float, pose: Transform)
 
 def polyline_moments(mass_per_metre: float, path: NDArray[np.float64]) -> Moments:
     """A thin cable along points (k, 3) [m]."""
-    pieces = np.stack([path[:-1], path[1:]], axis=1)
+    pieces = np.stack([path[:-1].T, path[1:].T])
     length = np.linalg.norm(path[1:] - path[:-1], axis=1)
     return _of_simplices(pieces, length, 2, 1.0 / 6.0).scaled(mass_per_metre)
 
@@ -140,11 +153,12 @@ def printed_by_body(blueprint: Blueprint) -> list[tuple[int, Moments]]:
                 for part in blueprint.parts]  # fmt: skip
     found = []
     for index, body in enumerate(blueprint.bodies):
-        found.append((index, printed_moments(*surface(body.bone), rigid, width)))
+        bone = surface(body.bone)
+        found.append((index, printed_moments(*bone, rigid, width)))
         if body.skin is not None:
-            depth = np.minimum(body.skin.values, -body.bone.on_lattice_of(body.skin))
-            if (depth > 0).any():
-                found.append((index, printed_moments(*surface(body.skin.with_values(depth)), soft, width)))
+            skin = surface(body.skin)
+            covered = (-body.bone.sample(skin[0]) > width, body.skin.sample(bone[0]) > width)
+            found.append((index, covering_moments(skin, bone, covered, soft, width)))
     return found
 
 
@@ -187,12 +201,68 @@ def wire_stretches(wire: WireRun, blueprint: Blueprint) -> list[tuple[int, NDArr
     return [(int(owner[a]), wire.path[a : b + 1]) for a, b in itertools.pairwise(cuts)]
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Facets:
+    """The triangles of a closed surface, by coordinate, so that sums over them run through memory.
+
+    Attributes:
+        corners: less the anchor [m], (corner, axis, triangle).
+        normal: pointing out, twice the area long [m2], (axis, triangle).
+        area: [m2], (triangle,).
+        anchor: a point near the surface [m], (3,).
+        sign: -1 where the surface bounds a hollow, whose inside is not there.
+    """
+
+    corners: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    area: NDArray[np.float64]
+    anchor: NDArray[np.float64]
+    sign: float
+
+    @staticmethod
+    def of(
+        vertices: NDArray[np.float64], triangles: NDArray[np.int64], anchor: NDArray[np.float64] | None = None,
+        sign: float = 1.0,
+    ) -> _Facets:  # fmt: skip
+        if anchor is None:
+            anchor = vertices[0] if len(vertices) else np.zeros(3)
+        axes = np.ascontiguousarray((vertices - anchor).T)
+        corners = np.stack([axes[:, corner] for corner in triangles.T])
+        (ax, ay, az), (bx, by, bz) = corners[1] - corners[0], corners[2] - corners[0]
+        normal = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+        return _Facets(corners, normal, np.sqrt(np.square(normal).sum(0)) / 2.0, anchor, sign)
+
+    def inside(self) -> Moments:
+        """Moments about the anchor of what the surface encloses at 1 kg/m3, negative for a hollow."""
+        volume = (self.sign / 6.0) * (self.corners[0] * self.normal).sum(0)
+        return _of_simplices(self.corners, volume, 4, _TETRAHEDRON)
+
+    def shell(self, depth: float, mass: NDArray[np.float64]) -> Moments:
+        """Moments about the anchor of the triangles, (triangle,) [kg], moved by `depth` away from the air."""
+        inward = self.normal * (self.sign * depth / np.maximum(2.0 * self.area, 1e-300))
+        return _of_simplices(self.corners - inward, mass, 3, _TRIANGLE)
+
+
+def _laid_down(
+    facets: list[_Facets], lined: list[NDArray[np.float64]], filament: Filament, line_width: float
+) -> Moments:
+    """Walls along the share of every triangle that is lined [m2], infill between; moments about the common anchor."""
+    inside = total(f.inside() for f in facets)
+    area = float(sum(a.sum() for a in lined))
+    if not inside.mass > 0 or not area > 0:
+        return NOTHING
+    thickness = min(filament.walls * line_width, inside.mass / area)
+    wall = total(f.shell(thickness / 2, a) for f, a in zip(facets, lined, strict=True))
+    return inside.scaled(filament.density * filament.infill) + wall.scaled(
+        filament.density * (1.0 - filament.infill) * thickness
+    )
+
+
 def _of_simplices(corners: NDArray[np.float64], mass: NDArray[np.float64], count: int, weight: float) -> Moments:
-    """Uniform simplices with the given corners (n, k, 3); a tetrahedron's fourth corner is the origin."""
-    centre = corners.sum(1)
-    weighted = (mass[:, None, None] * corners).reshape(-1, 3)
-    second = corners.reshape(-1, 3).T @ weighted + centre.T @ (mass[:, None] * centre)
-    return Moments(float(mass.sum()), (mass @ centre) / count, second * weight)
+    """Uniform simplices with the given corners (k, 3, n); a tetrahedron's fourth corner is the origin."""
+    centre = corners.sum(0)
+    second = sum((points @ (mass * points).T for points in (*corners, centre)), np.zeros((3, 3)))
+    return Moments(float(mass.sum()), (centre @ mass) / count, second * weight)
 
 
 def _shifted(moments: Moments, offset: NDArray[np.float64]) -> Moments:
