@@ -11,7 +11,7 @@ from experiments.run_folder import write_json
 
 if TYPE_CHECKING:
     from mfg.pipeline import Outcome
-    from sim.actor import Gait
+    from sim.actor import Policy
 
 BLUEPRINT, BUNDLE, VIDEO, STRIP, DRY_RUN = "blueprint", "bundle", "walk.mp4", "walk.png", "dry_run.json"
 EPISODE = 10.0  # of walking, measured and on the bus [s]
@@ -43,7 +43,7 @@ class Lame:
 
 
 def write_best(
-    folder: Path, outcome: Outcome, gait: Gait, config_hash: str, film: float, *, must_walk: bool
+    folder: Path, outcome: Outcome, actor: Policy, config_hash: str, film: float, *, must_walk: bool
 ) -> Best | Lame:
     """Write the blueprint of a design that was built, the policy bundle that drives it, its strip, video and dry run.
 
@@ -53,7 +53,7 @@ def write_best(
     Args:
         folder: made afresh.
         outcome: of `mfg.pipeline.build`, a success.
-        gait: for the hinges of its description.
+        actor: a gait or a learned policy, for the hinges of its description.
         config_hash: of the configuration that found it.
         film: length of the video [s], 0 for none.
         must_walk: whether to stop at a robot that moves less than one body length; its blueprint is written then, and
@@ -68,8 +68,9 @@ def write_best(
     from mfg.export import write_blueprint
     from mfg.picture import picture_of_blueprint
     from mfg.render import save_png
+    from sim.closed_loop import roll_out_policy
     from sim.model import load_model
-    from sim.rollout import measure, roll_out
+    from sim.rollout import measure
     from sim.video import save_strip, save_video
 
     twin = describe(outcome.blueprint)
@@ -79,7 +80,7 @@ def write_best(
     folder.mkdir(parents=True)
     write_blueprint(outcome, robot)
     model = load_model(robot / "robot.xml")
-    rollouts = roll_out(model, [gait], EPISODE)
+    rollouts = roll_out_policy(model, actor, EPISODE)
     behaviour = measure(model, rollouts)[0]
     if behaviour is None:
         return Lame("the physics of the exported model explodes")
@@ -89,10 +90,10 @@ def write_best(
             f"{behaviour.body_length:.3f} m"
         )
     save_png(robot / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
-    save_bundle(folder / BUNDLE, bundle_of(twin, gait, config_hash=config_hash), robot)
+    save_bundle(folder / BUNDLE, bundle_of(twin, actor, config_hash=config_hash), robot)
     save_strip(folder / STRIP, model, rollouts)
     if film > 0:
-        save_video(folder / VIDEO, model, roll_out(model, [gait], film))
+        save_video(folder / VIDEO, model, roll_out_policy(model, actor, film))
     dry = dry_run(folder / BUNDLE, EPISODE)
     write_json(folder / DRY_RUN, dry)
     return Best(behaviour.to_json(), dry)

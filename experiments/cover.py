@@ -29,18 +29,19 @@ def main() -> int:
 
     from decoder.sketch import load_design
     from experiments.best import BLUEPRINT, BUNDLE
-    from hardware.bundle import load_bundle
+    from experiments.policy import load_driver
     from mfg.picture import contact_sheet, picture_of_blueprint, picture_of_design
     from mfg.pipeline import build
+    from sim.closed_loop import roll_out_policy
     from sim.model import load_model
-    from sim.rollout import roll_out
     from sim.video import strip
 
     robot = args.run / "best" / BLUEPRINT
     design = load_design(robot / "design.npz")
     blueprint = build(design).blueprint
     model = load_model(robot / "robot.xml")
-    rollouts = roll_out(model, [load_bundle(args.run / "best" / BUNDLE).actor], 10.0)
+    driver = load_driver(args.run / "best" / BUNDLE, model)
+    rollouts = roll_out_policy(model, driver.actor, 10.0, time_constant=driver.time_constant)
     mass = sum(m.mass for m in blueprint.masses)
     pictures = [picture_of_design(design, PANEL), picture_of_blueprint(blueprint, PANEL),
                 picture_of_blueprint(blueprint, PANEL, EXPLODE)]  # fmt: skip
@@ -48,7 +49,7 @@ def main() -> int:
     width = len(pictures) * PANEL[0] // MOMENTS
     walk = strip(model, rollouts, count=MOMENTS, size=(width, width * 3 // 4))
     top = contact_sheet(pictures, labels, len(pictures))
-    bottom = contact_sheet([walk], ["ten seconds of its gait"], 1)
+    bottom = contact_sheet([walk], ["ten seconds of its walk"], 1)
     picture = Image.fromarray(np.concatenate([top, bottom])).quantize(COLOURS, dither=Image.Dither.NONE)
     picture.save(args.out, optimize=True)
     say(f"{args.out}: {args.out.stat().st_size / 1000:.0f} kB")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hardware.robot import Tick
     from hardware.virtual import VirtualMotors
     from mfg.description import Description
-    from sim.actor import Gait
+    from sim.actor import Policy
     from sim.plant import Plant
 
 HELP = "run a policy bundle on a robot's motors, or rehearse it on simulated ones"
@@ -66,6 +66,7 @@ def main(args: argparse.Namespace) -> int:
             if args.set_home:
                 return _set_home(bundle, line, as_json=args.json)
             if args.bus != VIRTUAL:
+                _refuse_blind(bundle, args.bundle)
                 say("no IMU is connected: the tilt guard is off; keep a hand on the power switch")
             result = _run(bundle, args.seconds, args.log, line)
     except KeyboardInterrupt:
@@ -104,11 +105,17 @@ def dry_run(folder: Path, seconds: float = 10.0, log: Path | None = None) -> dic
     return result
 
 
-def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIOD, config_hash: str = "") -> Bundle:
+def bundle_of(description: Description, actor: Policy, *, dt: float = CONTROL_PERIOD, config_hash: str = "") -> Bundle:
     """Make the policy bundle of a described robot: its motors' ids and signs, gains as the wire rounds them.
 
+    Args:
+        description: Of the robot.
+        actor: Its joints in the description's order, which is that of the model's.
+        dt: Control period [s].
+        config_hash: Of the configuration that produced the actor.
+
     Raises:
-        BundleError: The robot has more joints than one bus has ids, or the gait has another number of joints.
+        BundleError: The robot has more joints than one bus has ids, or the actor has another number of joints.
     """
     from hardware.bundle import Bundle, JointSetup
     from hardware.j60 import quantise_gains
@@ -131,7 +138,7 @@ def bundle_of(description: Description, gait: Gait, *, dt: float = CONTROL_PERIO
                 max_speed=joint.motor.max_speed,
             )
         )
-    return Bundle(description.name, tuple(joints), gait, dt, config_hash=config_hash)
+    return Bundle(description.name, tuple(joints), actor, dt, config_hash=config_hash)
 
 
 def _seconds(text: str) -> float:
@@ -156,6 +163,15 @@ def _stop_on_signals() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _refuse_blind(bundle: Bundle, folder: Path) -> None:
+    """A policy that looks at gravity would say nothing but NaN without an IMU, and only after the robot stands."""
+    from sim.actor import Gait
+
+    if not isinstance(bundle.actor, Gait):
+        raise BadInput(f"{folder} is a policy that needs an IMU, and none is connected here; rehearse it with "
+                       f"--bus {VIRTUAL}, or give hardware.control.drive your IMU")  # fmt: skip
 
 
 def _load_plant(folder: Path, bundle: Bundle) -> Plant:

@@ -12,6 +12,7 @@ from experiments.output import DONE, INFEASIBLE, BadInput, emit, say, seed
 if TYPE_CHECKING:
     from mujoco import MjSpec
 
+    from experiments.policy import Driver
     from sim.actor import Gait
     from sim.model import Model
     from sim.rollout import Behaviour
@@ -42,7 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Simulate one robot; status 1 if the design cannot be built or its physics explodes."""
-    from sim.rollout import Diverged, measure, roll_out
+    from experiments.policy import load_driver
+    from sim.closed_loop import roll_out_policy
+    from sim.rollout import Diverged, measure
 
     if args.video is not None:
         _check_film(args.video)
@@ -50,14 +53,17 @@ def main(args: argparse.Namespace) -> int:
     if model is None:
         return INFEASIBLE
     try:
-        gait = _search(model, args) if args.policy is None else _policy(model, args.policy)
+        driver = _search(model, args) if args.policy is None else load_driver(args.policy, model)
     except Diverged as error:
         say(f"bodyplan: {error}")
         return INFEASIBLE
-    rollouts = roll_out(model, [gait], args.seconds)
+    rollouts = roll_out_policy(model, driver.actor, args.seconds, time_constant=driver.time_constant)
     behaviour = measure(model, rollouts)[0]
     if behaviour is None:
-        say(f"bodyplan: the physics of {args.robot} exploded within {args.seconds:g} s under this gait")
+        say(
+            f"bodyplan: the physics of {args.robot} exploded within {args.seconds:g} s under this policy, or the "
+            "policy said what is no number"
+        )
         return INFEASIBLE
     if args.video is not None:
         from sim.video import save_strip, save_video
@@ -66,7 +72,7 @@ def main(args: argparse.Namespace) -> int:
         save = save_strip if args.video.suffix.lower() == ".png" else save_video
         save(args.video, model, rollouts)
     if args.json:
-        emit(_document(args, model, gait, behaviour))
+        emit(_document(args, model, driver, behaviour))
     else:
         _tell(args, behaviour)
     return DONE
@@ -112,33 +118,17 @@ def _compiled(spec: MjSpec, args: argparse.Namespace) -> Model:
     return spec.compile()
 
 
-def _policy(model: Model, folder: Path) -> Gait:
-    """The gait of a bundle, its joints in the order of the model's."""
-    from hardware.bundle import load_bundle
-    from sim.actor import Gait
-    from sim.model import drive_of
-
-    bundle = load_bundle(folder)
-    names = drive_of(model).names
-    if sorted(names) != sorted(bundle.names):
-        raise BadInput(f"{folder} drives joints {sorted(bundle.names)}, the robot has {sorted(names)}")
-    if bundle.time_constant > 0:
-        say(f"the policy's low-pass of {bundle.time_constant:g} s is left out here")
-    order = [bundle.names.index(name) for name in names]
-    gait = bundle.actor
-    return Gait(gait.frequency, gait.amplitude[order], gait.phase[order], gait.offset[order])
-
-
-def _search(model: Model, args: argparse.Namespace) -> Gait:
+def _search(model: Model, args: argparse.Namespace) -> Driver:
     from dataclasses import replace
 
     import numpy as np
 
+    from experiments.policy import Driver
     from sim.gaits import SCREENING, search_gait
 
     say("searching a gait")
     budget = replace(SCREENING, final_seconds=args.seconds)
-    return search_gait(model, np.random.default_rng(args.seed), budget).gait
+    return Driver(search_gait(model, np.random.default_rng(args.seed), budget).gait)
 
 
 def _check_film(path: Path) -> None:
@@ -148,21 +138,28 @@ def _check_film(path: Path) -> None:
         raise BadInput(f"--video {path}: there is no folder {path.parent}")
 
 
-def _document(args: argparse.Namespace, model: Model, gait: Gait, behaviour: Behaviour) -> dict[str, Any]:
+def _document(args: argparse.Namespace, model: Model, driver: Driver, behaviour: Behaviour) -> dict[str, Any]:
+    from sim.actor import Gait
     from sim.model import model_name
 
+    gait = driver.actor if isinstance(driver.actor, Gait) else None
     return {
         **behaviour.to_json(),
         "robot": model_name(model),
         "terrain": args.terrain,
         "policy": None if args.policy is None else str(args.policy),
-        "gait": {
-            "frequency_hz": gait.frequency,
-            "amplitude_rad": gait.amplitude.tolist(),
-            "phase_rad": gait.phase.tolist(),
-            "offset_rad": gait.offset.tolist(),
-        },
+        "actor": "perceptron" if gait is None else "gait",
+        "gait": None if gait is None else _numbers(gait),
         "video": None if args.video is None else str(args.video),
+    }
+
+
+def _numbers(gait: Gait) -> dict[str, Any]:
+    return {
+        "frequency_hz": gait.frequency,
+        "amplitude_rad": gait.amplitude.tolist(),
+        "phase_rad": gait.phase.tolist(),
+        "offset_rad": gait.offset.tolist(),
     }
 
 

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.actor import Gait, Perceptron
+from sim.actor import Gait, Perceptron, Policy
 from sim.observation import ActionMap
 
 BUNDLE_VERSION = 1
@@ -57,7 +57,7 @@ class Bundle:
 
     design: str  # key of the design it was made for
     joints: tuple[JointSetup, ...]
-    actor: Gait | Perceptron
+    actor: Policy
     dt: float  # control period [s]
     time_constant: float = 0.0  # of the action low-pass, 0 for none [s]
     config_hash: str = ""  # of the configuration that produced it
@@ -249,7 +249,7 @@ def _joint(name: str, document: Any) -> JointSetup:
     return JointSetup(name, entry["can_id"], entry["sign"], (low, high), **numbers)
 
 
-def _actor(document: Any, num_joints: int) -> Gait | Perceptron:
+def _actor(document: Any, num_joints: int) -> Policy:
     kind = document.get("kind") if isinstance(document, dict) else None
     if kind == "gait":
         return _gait(document, num_joints)
@@ -301,7 +301,7 @@ def _perceptron(document: Any, num_joints: int) -> Perceptron:
     command = tuple(_number("actor: command", value) for value in entry["command"])
     actions = _record("actor: actions: fields", entry["actions"], _MAP_FIELDS)
     vectors = {name: np.array(_numbers(f"actor: actions: {name}", actions[name], num_joints)) for name in _MAP_VECTORS}
-    numbers = {name: _number(f"actor: actions: {name}", actions[name]) for name in ("blend", "step")}
+    blend, step = (_number(f"actor: actions: {name}", actions[name]) for name in ("blend", "step"))
     if not isinstance(entry["layers"], list):
         raise BundleError(f"actor: layers must be a list, got {entry['layers']!r}.")
     inputs = {name: _array(f"actor: {name}", entry[name], 1) for name in ("input_centre", "input_gain")}
@@ -311,9 +311,8 @@ def _perceptron(document: Any, num_joints: int) -> Perceptron:
         layers.append((_array(f"actor: layer {index}: weight", fields["weight"], 2),
                        _array(f"actor: layer {index}: bias", fields["bias"], 1)))  # fmt: skip
     try:
-        return Perceptron(
-            tuple(layers), **inputs, actions=ActionMap(**vectors, **numbers), history=history, command=command
-        )
+        joints = ActionMap(**vectors, blend=blend, step=step)
+        return Perceptron(tuple(layers), **inputs, actions=joints, history=history, command=command)
     except ValueError as error:
         raise BundleError(f"actor: {error}") from None
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -88,6 +89,11 @@ class Gait:
         """Give the joint targets (n,) [rad] at `time` [s]; the observation is not used."""
         return self.targets(time)
 
+    def arranged(self, order: Sequence[int]) -> Gait:
+        """The same gait for joints in another order: its joint k is joint `order[k]` of this one."""
+        places = _permutation(order, self.num_joints)
+        return Gait(self.frequency, self.amplitude[places], self.phase[places], self.offset[places])
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Perceptron:
@@ -120,6 +126,7 @@ class Perceptron:
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != (size,) or not np.isfinite(value).all():
                 raise ValueError(f"Perceptron {name} must be {size} finite numbers, got shape {value.shape}.")
+            value.setflags(write=False)
             object.__setattr__(self, name, value)
         if len(self.command) not in (0, COMMAND_SIZE) or not all(math.isfinite(v) for v in self.command):
             raise ValueError(f"A perceptron's command is none or {COMMAND_SIZE} finite numbers, got {self.command}.")
@@ -131,6 +138,8 @@ class Perceptron:
                                  f"got {W.shape} and {b.shape}.")  # fmt: skip
             if not (np.isfinite(W).all() and np.isfinite(b).all()):
                 raise ValueError(f"Layer {index}: every number must be finite.")
+            W.setflags(write=False)
+            b.setflags(write=False)
             layers.append((W, b))
             size = b.size
         if size != self.num_joints:
@@ -148,16 +157,42 @@ class Perceptron:
         return ObservationLayout(self.num_joints, self.history, bool(self.command))
 
     def say(self, observation: ArrayLike) -> Array:
-        """What the last layer says, (..., n), on observations (..., size)."""
-        x = (np.asarray(observation, dtype=np.float64) - self.input_centre) * self.input_gain
-        for W, b in self.layers[:-1]:
-            x = np.tanh(x @ W + b)
-        W, b = self.layers[-1]
-        return np.asarray(x @ W + b)
+        """What the last layer says, (..., n), on observations (..., size); not finite where the numbers overflow."""
+        with np.errstate(over="ignore", invalid="ignore"):  # who commands a motor looks for it in any case
+            x = (np.asarray(observation, dtype=np.float64) - self.input_centre) * self.input_gain
+            for W, b in self.layers[:-1]:
+                x = np.tanh(x @ W + b)
+            W, b = self.layers[-1]
+            return np.asarray(x @ W + b)
 
     def act(self, time: float, observation: Array) -> Array:  # noqa: ARG002 - the state says enough.
         """Give the joint targets (..., n) [rad]; they start from the previous ones, which are in the observation."""
         return self.actions.targets(self.say(observation), observation[..., self.layout.action])
+
+    def arranged(self, order: Sequence[int]) -> Perceptron:
+        """The same policy for joints in another order: its joint k is joint `order[k]` of this one."""
+        joints, layout = _permutation(order, self.num_joints), self.layout
+        frame = np.arange(layout.frame_size)
+        for place in (layout.position, layout.velocity, layout.action):
+            frame[place] = frame[place][joints]
+        seen = np.concatenate([k * layout.frame_size + frame for k in range(layout.history)])
+        (W, b), *rest = self.layers
+        layers = [(W[seen], b), *rest]
+        W, b = layers[-1]
+        layers[-1] = (W[:, joints], b[joints])
+        return replace(
+            self, layers=tuple(layers), input_centre=self.input_centre[seen], input_gain=self.input_gain[seen],
+            actions=self.actions.arranged(joints),
+        )  # fmt: skip
+
+
+Policy: TypeAlias = Gait | Perceptron  # what a policy bundle can hold
+
+
+def _permutation(order: Sequence[int], count: int) -> NDArray[np.intp]:
+    if sorted(order) != list(range(count)):
+        raise ValueError(f"An order of {count} joints has each of 0 to {count - 1} once, got {list(order)}.")
+    return np.array(order, dtype=np.intp)
 
 
 def low_pass(previous: Array, target: Array, dt: float, time_constant: float) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -181,6 +182,11 @@ class ActionMap:
     def num_joints(self) -> int:
         """How many joints it commands."""
         return int(self.centre.size)
+
+    def arranged(self, order: Sequence[int] | NDArray[np.intp]) -> ActionMap:
+        """The same map for joints in another order: its joint k is joint `order[k]` of this one."""
+        places = np.asarray(order)
+        return replace(self, **{name: getattr(self, name)[places] for name in ("centre", "scale", "low", "high")})
 
     def targets(self, said: ArrayLike, previous: ArrayLike) -> Array:
         """Joint targets (..., n) [rad] for what a policy says (..., n), after the targets `previous` (..., n) [rad].

@@ -41,8 +41,10 @@ class Rollouts:
         yaw: how far the root has turned about the vertical since it stood [rad], (g, k).
         peak_torque: greatest torque of each motor [N.m], (g, n).
         rms_torque: root mean square torque of each motor [N.m], (g, n).
+        torque: what each motor gave in the last physics step before each control step [N.m], (g, k, n).
+        speed: of each joint at each control step [rad/s], (g, k, n).
         work: mechanical work of all motors, braking not recovered [J], (g,).
-        failed: the physics exploded; the other entries of such a row mean nothing, (g,).
+        failed: the physics exploded, or the actor said what is no number; such a row means nothing else, (g,).
         steps_per_s: physics steps of all robots per second of computing.
     """
 
@@ -52,6 +54,8 @@ class Rollouts:
     yaw: NDArray[np.float64]
     peak_torque: NDArray[np.float64]
     rms_torque: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    speed: NDArray[np.float64]
     work: NDArray[np.float64]
     failed: NDArray[np.bool_]
     steps_per_s: float
@@ -186,14 +190,15 @@ def roll_out(
     failed = (simulations.warning[..., 1] > 0).any(axis=1)
     failed |= ~np.isfinite(qpos).all(axis=(1, 2)) | ~(np.abs(qvel) < SPEED_BOUND).all(axis=(1, 2))
     measured = slice(lead * substeps, None)
-    power = torque[:, measured] * qvel[:, measured][:, :, drive_of(model).velocity]
+    speed = qvel[:, :, drive_of(model).velocity]
+    power = torque[:, measured] * speed[:, measured]
     # The records follow each step, so the last one of the lead-in is the start of the measurement.
     rows = slice(lead * substeps - 1, None, substeps)
     up, yaw = turned(start[root_quaternion(model)], qpos[:, rows, 3:7])
     return Rollouts(
         qpos=qpos[:, rows], com=com[:, rows, 1], up=up, yaw=yaw,
         peak_torque=np.abs(torque[:, measured]).max(axis=1),
-        rms_torque=np.sqrt(np.square(torque[:, measured]).mean(axis=1)),
+        rms_torque=np.sqrt(np.square(torque[:, measured]).mean(axis=1)), torque=torque[:, rows], speed=speed[:, rows],
         work=np.maximum(power, 0.0).sum(axis=(1, 2)) * model.opt.timestep,
         failed=failed, steps_per_s=qpos.shape[0] * qpos.shape[1] / elapsed,
     )  # fmt: skip

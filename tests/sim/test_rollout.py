@@ -90,7 +90,8 @@ def synthetic(path: np.ndarray, yaw: np.ndarray, tilt: np.ndarray | None = None,
         qpos=np.zeros((1, k, 11)), com=np.column_stack([path, np.full(k, 0.1)])[None],
         up=np.stack([np.sin(tilt), np.zeros(k), np.cos(tilt)], axis=1)[None], yaw=yaw[None],
         peak_torque=np.array([[1.0, 5.0, 2.0, 3.0]]), rms_torque=np.array([[1.0, 2.0, 1.0, 1.0]]),
-        work=np.array([30.0]), failed=np.array([failed]), steps_per_s=1.0,
+        torque=np.zeros((1, k, 4)), speed=np.zeros((1, k, 4)), work=np.array([30.0]), failed=np.array([failed]),
+        steps_per_s=1.0,
     )  # fmt: skip
 
 
