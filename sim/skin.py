@@ -26,6 +26,7 @@ from sim.skin_law import (
 )
 
 MIXING = 1e6  # weight of a skin's contact parameters against those of a hard floor
+FAR = 0.5  # share of a block that is its near part, which hardly touches the ground
 _OFFERED_BY_NOBODY = 4  # a contact bit
 _CORNERS = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -103,11 +104,12 @@ def block_compliance(model: mujoco.MjModel, name: str) -> float:
     first, count = model.flex_nodeadr[flex], model.flex_nodenum[flex]
     bodies = model.flex_nodebodyid[first : first + count]
     free = np.flatnonzero([_is_node(model, body) for body in bodies])
-    K = _stiffness(model, flex)[np.ix_(_coordinates(free), _coordinates(free))]
+    K = block_stiffness(model, name)[np.ix_(_coordinates(free), _coordinates(free))]
     at = model.flex_vertadr[flex] + np.arange(model.flex_vertnum[flex] - 1)  # the last one is the centre
-    places, triangles = model.flex_vert0[at], hull_triangles(model.flex_vert[at])
-    normals = _vertex_normals(model.flex_vert[at], triangles)
-    far = places[:, 2] > 0.5
+    places = model.flex_vert0[at]
+    points = 2 * places * model.flex_size[flex]  # along the block's own axes, as K is
+    normals = _vertex_normals(points, hull_triangles(points))
+    far = places[:, 2] > FAR
     weights = _node_weights(places[far], cells)[:, free]
     forces = np.einsum("vn,vi->vni", weights, normals[far]).reshape(far.sum(), -1)
     return float(np.einsum("vk,vk->v", forces, np.linalg.solve(K, forces.T).T).mean())
@@ -212,8 +214,9 @@ def _set_inertia(body: mujoco.MjsBody, mass: float, com: NDArray[np.float64], in
     body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
 
 
-def _stiffness(model: mujoco.MjModel, flex: int) -> NDArray[np.float64]:
-    """Stiffness of all nodes of a block [N/m], (3 n, 3 n), summed over its elements of (24, 24)."""
+def block_stiffness(model: mujoco.MjModel, name: str) -> NDArray[np.float64]:
+    """Stiffness of all nodes of a block along the block's axes [N/m], (3 n, 3 n), summed over its elements."""
+    flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name)
     cells = model.flex_cellnum[flex]
     nodes = np.arange(np.prod(cells + 1)).reshape(cells + 1)
     K = np.zeros((3 * nodes.size,) * 2)

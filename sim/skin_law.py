@@ -17,7 +17,7 @@ WALL_POISSON = 0.45  # (assumed) of solid TPU
 POISSON = 0.1  # (assumed) of the skin as a whole: sparse cells that fold hardly swell; from 0.2 on blocks turn unstable
 DAMPING_TIME = 0.001  # (assumed) damping over stiffness of the skin [s]: a loss factor of about 0.05 at 8 Hz
 BARE = 0.002  # thinner skin counts as bare bone: it is hardly more than its wall [m]
-CONTACTS = 2  # how many corners of a hull share the load of a link on the ground, on average (docs/fidelity.md)
+CONTACTS = 2.5  # corners of a hull that share the load of a link, fitted to the sag of blocks (docs/fidelity.md)
 IMPEDANCE = 0.95  # MuJoCo's default for a contact deeper than a millimetre
 FIRM_CONTACT_TIME = 0.01  # of a surface whose softness is modelled beneath it [s]
 
@@ -84,7 +84,7 @@ def pad_stiffness(material: SkinMaterial, thickness: float, radius: float, patch
     return effective_modulus(material, thickness, radius, patch) * patch / thickness
 
 
-def contact_time(stiffness: float, inverse_mass: float, contacts: int = CONTACTS) -> float:
+def contact_time(stiffness: float, inverse_mass: float, contacts: float = CONTACTS) -> float:
     """Time constant of contacts of a given stiffness [s], as MuJoCo's `solref` wants it at a damping ratio of 1.
 
     MuJoCo's contact is no spring of the material: at rest one of depth r bears f = r / (tau^2 (1 - d) W), with its
