@@ -15,11 +15,12 @@ from mfg.catalogue import Filament, Motor
 from mfg.fields import Field
 from mfg.hulls import thinned
 from mfg.masses import body_masses
+from mfg.outline import outline
 from mfg.parts import PAPER
-from mfg.solids import surface
 
 HULL_VERTICES = 128  # at most, per link
 FULL_HULL = 10**6  # more vertices than any hull has
+_HULL_LINES = 2  # a hull of so few corners needs no point more often than every so many samples
 _DEPTH_KNOWN = 0.03  # from a bone's surface, at least so far out [m]
 
 
@@ -185,7 +186,7 @@ def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
     if solids:
         return np.concatenate(solids)
     shape = blueprint.bodies[body]
-    return surface(shape.bone if shape.skin is None else shape.skin)[0]  # a skin field holds its bone
+    return outline(shape.skin or shape.bone, _HULL_LINES).points  # a skin field holds its bone
 
 
 def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:

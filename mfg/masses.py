@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mfg.blueprint import Blueprint, MassProperties, Transform, WireRun
 from mfg.catalogue import Filament, Motor, Size
 from mfg.mounts import motor_pose
-from mfg.solids import surface
+from mfg.outline import Outline, outline
 
 # Second moments of uniform shapes over mass: a triangle's and a tetrahedron's vertices weigh like this.
 _TRIANGLE = 1.0 / 12.0
@@ -87,28 +87,31 @@ def printed_moments(
     return _shifted(_laid_down([facets], [facets.area], filament, line_width), facets.anchor)
 
 
+def outline_moments(shape: Outline, filament: Filament, line_width: float) -> Moments:
+    """As `printed_moments`, of the inside of a depth field."""
+    return _laid_down([_Patches(shape)], [shape.area], filament, line_width)
+
+
 def covering_moments(
-    outer: tuple[NDArray[np.float64], NDArray[np.int64]],
-    inner: tuple[NDArray[np.float64], NDArray[np.int64]],
+    outer: Outline,
+    inner: Outline,
     covered: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     filament: Filament,
     line_width: float,
 ) -> Moments:
-    """What the slicer lays down between two closed surfaces, of which the outer one holds the inner one.
+    """What the slicer lays down between two surfaces, of which the outer one holds the inner one.
 
     As `printed_moments` of outer less inner, whose walls run along both surfaces where these are apart.
 
     Args:
-        outer: vertices (n, 3) [m] and triangles (m, 3).
-        inner: the same of the hollow.
-        covered: for the vertices of each, whether the other surface is farther than a printed line.
+        outer: the surface towards the air.
+        inner: that of the hollow.
+        covered: for the crossings of each, whether the other surface is farther than a printed line.
         filament: what is printed.
         line_width: of a printed line [m].
     """
-    anchor = outer[0][0] if len(outer[0]) else np.zeros(3)
-    facets = [_Facets.of(*outer, anchor), _Facets.of(*inner, anchor, -1.0)]
-    lined = [f.area * c[t].mean(axis=1) for f, c, (_, t) in zip(facets, covered, (outer, inner), strict=True)]
-    return _shifted(_laid_down(facets, lined, filament, line_width), anchor)
+    lined = [outer.area * covered[0], inner.area * covered[1]]
+    return _laid_down([_Patches(outer), _Patches(inner, -1.0)], lined, filament, line_width)
 
 
 def box_moments(mass: float, size: Size, pose: Transform) -> Moments:
@@ -153,11 +156,11 @@ def printed_by_body(blueprint: Blueprint) -> list[tuple[int, Moments]]:
                 for part in blueprint.parts]  # fmt: skip
     found = []
     for index, body in enumerate(blueprint.bodies):
-        bone = surface(body.bone)
-        found.append((index, printed_moments(*bone, rigid, width)))
+        bone = outline(body.bone)
+        found.append((index, outline_moments(bone, rigid, width)))
         if body.skin is not None:
-            skin = surface(body.skin)
-            covered = (-body.bone.sample(skin[0]) > width, body.skin.sample(bone[0]) > width)
+            skin = outline(body.skin)
+            covered = (body.bone.sample(skin.points) < -width, body.skin.sample(bone.points) > width)
             found.append((index, covering_moments(skin, bone, covered, soft, width)))
     return found
 
@@ -210,43 +213,64 @@ class _Facets:
         normal: pointing out, twice the area long [m2], (axis, triangle).
         area: [m2], (triangle,).
         anchor: a point near the surface [m], (3,).
-        sign: -1 where the surface bounds a hollow, whose inside is not there.
     """
 
     corners: NDArray[np.float64]
     normal: NDArray[np.float64]
     area: NDArray[np.float64]
     anchor: NDArray[np.float64]
-    sign: float
 
     @staticmethod
-    def of(
-        vertices: NDArray[np.float64], triangles: NDArray[np.int64], anchor: NDArray[np.float64] | None = None,
-        sign: float = 1.0,
-    ) -> _Facets:  # fmt: skip
-        if anchor is None:
-            anchor = vertices[0] if len(vertices) else np.zeros(3)
+    def of(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> _Facets:
+        anchor = vertices[0] if len(vertices) else np.zeros(3)
         axes = np.ascontiguousarray((vertices - anchor).T)
         corners = np.stack([axes[:, corner] for corner in triangles.T])
         (ax, ay, az), (bx, by, bz) = corners[1] - corners[0], corners[2] - corners[0]
         normal = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-        return _Facets(corners, normal, np.sqrt(np.square(normal).sum(0)) / 2.0, anchor, sign)
+        return _Facets(corners, normal, np.sqrt(np.square(normal).sum(0)) / 2.0, anchor)
 
     def inside(self) -> Moments:
-        """Moments about the anchor of what the surface encloses at 1 kg/m3, negative for a hollow."""
-        volume = (self.sign / 6.0) * (self.corners[0] * self.normal).sum(0)
+        """Moments about the anchor of what the surface encloses at 1 kg/m3."""
+        volume = (self.corners[0] * self.normal).sum(0) / 6.0
         return _of_simplices(self.corners, volume, 4, _TETRAHEDRON)
 
     def shell(self, depth: float, mass: NDArray[np.float64]) -> Moments:
-        """Moments about the anchor of the triangles, (triangle,) [kg], moved by `depth` away from the air."""
-        inward = self.normal * (self.sign * depth / np.maximum(2.0 * self.area, 1e-300))
+        """Moments about the anchor of the triangles, of masses (triangle,) [kg], moved inward by `depth` [m]."""
+        inward = self.normal * (depth / np.maximum(2.0 * self.area, 1e-300))
         return _of_simplices(self.corners - inward, mass, 3, _TRIANGLE)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Patches:
+    """An outline, whose inside is not there where `sign` is -1: the surface of a hollow."""
+
+    shape: Outline
+    sign: float = 1.0
+
+    def inside(self) -> Moments:
+        """Moments of what the surface encloses at 1 kg/m3, negative for a hollow."""
+        volume, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+        for axis in range(3):
+            along = self.shape.axis == axis
+            points, mass = self.shape.points[along], self.shape.flow[along] * (self.sign / 3.0)
+            # The integral of x^k along the line is x^(k + 1) / (k + 1).
+            power = np.ones(3)
+            power[axis] = 2.0
+            volume += float(mass.sum())
+            first += mass @ points / power
+            second += points.T @ (mass[:, None] * points) / (power[:, None] + power - 1.0)
+        return Moments(volume, first, second)
+
+    def shell(self, depth: float, mass: NDArray[np.float64]) -> Moments:
+        """Moments of the patches, of masses (n,) [kg], moved by `depth` [m] away from the air."""
+        points = self.shape.points - (self.sign * depth) * self.shape.normals
+        return Moments(float(mass.sum()), mass @ points, points.T @ (mass[:, None] * points))
+
+
 def _laid_down(
-    facets: list[_Facets], lined: list[NDArray[np.float64]], filament: Filament, line_width: float
+    facets: Sequence[_Facets | _Patches], lined: list[NDArray[np.float64]], filament: Filament, line_width: float
 ) -> Moments:
-    """Walls along the share of every triangle that is lined [m2], infill between; moments about the common anchor."""
+    """Walls along the share of every patch that is lined [m2], infill between; moments about the anchor."""
     inside = total(f.inside() for f in facets)
     area = float(sum(a.sum() for a in lined))
     if not inside.mass > 0 or not area > 0:

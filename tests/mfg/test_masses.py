@@ -16,7 +16,6 @@ from mfg.masses import (
     body_masses,
     box_moments,
     component_moments,
-    covering_moments,
     cylinder_moments,
     polyline_moments,
     printed_by_body,
@@ -122,24 +121,6 @@ def test_moments_do_not_depend_on_where_the_origin_is() -> None:
     far = of(solid.moved(T)).properties()
     assert_allclose(far.com, T[:3, :3] @ near.com + T[:3, 3], atol=1e-9)
     assert_allclose(far.inertia, T[:3, :3] @ near.inertia @ T[:3, :3].T, rtol=1e-6, atol=1e-12)
-
-
-def test_a_cover_weighs_what_the_difference_of_its_surfaces_does() -> None:
-    outer, inner = ball(0.06), box((-0.02, -0.03, -0.02), (0.03, 0.02, 0.02))
-    shell = outer - inner
-    stated = printed_moments(shell.vertices, shell.triangles, SPARSE, WIDTH).properties()
-    everywhere = (np.ones(len(outer.vertices), bool), np.ones(len(inner.vertices), bool))
-    meshes = ((outer.vertices, outer.triangles), (inner.vertices, inner.triangles))
-    made = covering_moments(*meshes, everywhere, SPARSE, WIDTH).properties()
-    assert_allclose(made.mass, stated.mass, rtol=1e-9)
-    assert_allclose(made.com, stated.com, atol=1e-9)
-    assert_allclose(made.inertia, stated.inertia, rtol=1e-9, atol=1e-15)
-
-
-def test_a_surface_that_covers_nothing_weighs_nothing() -> None:
-    bare = box((0, 0, 0), (0.1, 0.1, 0.1))
-    mesh, nowhere = (bare.vertices, bare.triangles), np.zeros(len(bare.vertices), bool)
-    assert covering_moments(mesh, mesh, (nowhere, nowhere), SPARSE, WIDTH).mass == 0.0
 
 
 def test_a_cable_weighs_its_length_and_balances_at_its_middle() -> None:
