@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from scipy.stats import rankdata
 
 from mfg.catalogue import Motor
 from mfg.description import Description
 from mfg.parts import J60_6
 from sim.actor import Gait
-from sim.model import CONTACT_TIME, FLOOR, STALL_OVER_PEAK, Model, compile_model, make_spec
-from sim.rollout import CONTROL_PERIOD, GRAVITY
+from sim.gaits import decode, random_points
+from sim.model import CONTACT_TIME, FLOOR, STALL_OVER_PEAK, Model, compile_model, drive_of, make_spec
+from sim.rollout import CONTROL_PERIOD, GRAVITY, measure, roll_out, settle
 from sim.terrain import Kind, Terrain, lay
 
 Array = NDArray[np.float64]
@@ -254,3 +256,44 @@ def test_a_step_of_the_target_is_answered_as_a_second_order_system(pendulum: Des
 
     assert error(0.004) < 0.02
     assert error(0.002) < 0.55 * error(0.004)
+
+
+# The step.
+
+
+def speeds(model: Model, gaits: list[Gait], turned: Array | float = 0.0) -> Array:
+    """Of each gait over 5 s along the body's heading [m/s], the joints turned by so much at the start [rad]."""
+    start = settle(model)
+    start[1 + drive_of(model).position] += turned
+    behaviours = measure(model, roll_out(model, gaits, 5.0, start))
+    assert None not in behaviours
+    return np.array([behaviour.speed for behaviour in behaviours if behaviour is not None])
+
+
+def rank_correlations(a: Array, b: Array) -> Array:
+    """Spearman's, of each row (k, n)."""
+    a, b = (rankdata(values, axis=1) for values in (a, b))
+    a, b = (values - values.mean(axis=1, keepdims=True) for values in (a, b))
+    return (a * b).sum(axis=1) / np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
+
+
+def test_halving_the_step_changes_the_ranking_of_gaits_no_more_than_the_start_does(quadruped: Description) -> None:
+    """A paired bootstrap over 32 gaits, of Spearman's correlation with the ranking at 4 ms.
+
+    Contact is chaotic, so that a ranking repeats only as well as its start does. Joints turned by 0.01 rad, half of
+    what an encoder may be off on the robot, rank this body's gaits anew as much as half the step does: 0.947 and 0.945,
+    in the mean of six sets of gaits, and 0.661 and 0.665 for the quadruped of the examples, which topples more easily.
+    A start moved by 1e-6 m changes less, 0.994 and 0.92, because 5 s are too short for so small a difference to grow.
+    """
+    rng = np.random.default_rng(0)
+    model = compile_model(quadruped)
+    gaits = [decode(drive_of(model), point) for point in random_points(drive_of(model), 32, rng)]
+    ranked = speeds(model, gaits)
+    halved = speeds(compile_model(quadruped, timestep=0.002), gaits)
+    moved = [speeds(model, gaits, 0.01 * rng.choice([-1.0, 1.0], model.nu)) for _ in range(3)]
+    draw = rng.integers(0, len(gaits), (2000, len(gaits)))
+    by_step = rank_correlations(ranked[draw], halved[draw])
+    by_start = np.mean([rank_correlations(ranked[draw], other[draw]) for other in moved], axis=0)
+    worse = np.quantile(by_start - by_step, 0.025)
+    assert worse <= 0  # the step does not do more than the start
+    assert np.quantile(by_step, 0.025) > 0.6  # and the order survives
