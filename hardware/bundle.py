@@ -6,7 +6,6 @@ import json
 import math
 import os
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.actor import Gait, Perceptron, Policy
-from sim.observation import ActionMap
+from hardware.actor_document import actor_document, parse_actor
+from hardware.document import BundleError as BundleError
+from hardware.document import number, numbers, read_json, record, same_names, shown, text
+from sim.actor import Policy
 
 BUNDLE_VERSION = 1
 BUNDLE_FILE = "bundle.json"
@@ -25,10 +26,6 @@ MESH_FOLDER = "meshes"
 NUM_CAN_IDS = 16  # a motor id has 4 bits on the wire
 
 Array = NDArray[np.float64]
-
-
-class BundleError(ValueError):
-    """A policy bundle is unusable; the message names the field, the value and the bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +113,6 @@ def _check_joint(joint: JointSetup) -> None:
 _TOP_FIELDS = ("version", "design", "config_hash", "dt", "time_constant", "order", "joints", "actor")
 _JOINT_NUMBERS = ("default", "kp", "kd", "peak_torque", "continuous_torque", "max_speed")
 _JOINT_FIELDS = ("can_id", "sign", "range", *_JOINT_NUMBERS)
-_GAIT_FIELDS = ("kind", "frequency", "amplitude", "phase", "offset")
-_MAP_VECTORS = ("centre", "scale", "low", "high")
-_MAP_FIELDS = (*_MAP_VECTORS, "blend", "step")
-_PERCEPTRON_FIELDS = ("kind", "history", "command", "input_centre", "input_gain", "layers", "actions")
-_LAYER_FIELDS = ("weight", "bias")
-MOST_HISTORY, MOST_UNITS = 64, 4096  # a bundle is read on a small computer
 
 
 def save_bundle(folder: Path, bundle: Bundle, model_folder: Path | None = None) -> None:
@@ -160,7 +151,7 @@ def bundle_document(bundle: Bundle) -> dict[str, Any]:
             joint.name: {field: getattr(joint, field) for field in _JOINT_FIELDS} | {"range": list(joint.range)}
             for joint in bundle.joints
         },
-        "actor": _gait_document(bundle.actor) if isinstance(bundle.actor, Gait) else _perceptron_document(bundle.actor),
+        "actor": actor_document(bundle.actor),
     }
 
 
@@ -173,13 +164,9 @@ def load_bundle(folder: Path) -> Bundle:
     """
     path = folder / BUNDLE_FILE
     try:
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        document = read_json(path)
     except FileNotFoundError:
         raise BundleError(f"{folder} has no {BUNDLE_FILE}; give the folder of a policy bundle.") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, NotADirectoryError, IsADirectoryError) as error:
-        raise BundleError(f"{path} is not a JSON file: {error}.") from None
-    except BundleError as error:
-        raise BundleError(f"{path}: {error}") from None
     try:
         bundle = parse_bundle(document)
     except BundleError as error:
@@ -196,21 +183,23 @@ def parse_bundle(document: Any) -> Bundle:
         BundleError: A field, joint or array is missing, unknown, of the wrong type or shape, or out of bounds.
     """
     if isinstance(document, dict) and document.get("version", BUNDLE_VERSION) != BUNDLE_VERSION:
-        raise BundleError(f"version must be {BUNDLE_VERSION}, got {document['version']!r}; export the bundle again.")
-    top = _record("fields", document, _TOP_FIELDS)
+        raise BundleError(
+            f"version must be {BUNDLE_VERSION}, got {shown(document['version'])}; export the bundle again."
+        )
+    top = record("fields", document, _TOP_FIELDS)
     order = top["order"]
     if not (isinstance(order, list) and all(isinstance(name, str) for name in order)):
-        raise BundleError(f"order must be a list of joint names, got {order!r}.")
+        raise BundleError(f"order must be a list of joint names, got {shown(order)}.")
     if not isinstance(top["joints"], dict):
-        raise BundleError(f"joints must be an object by name, got {top['joints']!r}.")
-    _same_names("joints and order", set(top["joints"]), set(order))
+        raise BundleError(f"joints must be an object by name, got {shown(top['joints'])}.")
+    same_names("joints and order", set(top["joints"]), set(order))
     return Bundle(
-        design=_text("design", top["design"]),
+        design=text("design", top["design"]),
         joints=tuple(_joint(name, top["joints"][name]) for name in order),
-        actor=_actor(top["actor"], len(order)),
-        dt=_number("dt", top["dt"]),
-        time_constant=_number("time_constant", top["time_constant"]),
-        config_hash=_text("config_hash", top["config_hash"]),
+        actor=parse_actor(top["actor"], len(order)),
+        dt=number("dt", top["dt"]),
+        time_constant=number("time_constant", top["time_constant"]),
+        config_hash=text("config_hash", top["config_hash"]),
     )
 
 
@@ -226,129 +215,14 @@ def check_model(path: Path, bundle: Bundle) -> None:
         raise BundleError(f"{path} is not an MJCF file: {error}.") from None
     nodes = [] if world is None else world.iter("joint")
     hinges = {node.get("name", "") for node in nodes if node.get("type", "hinge") == "hinge"}
-    _same_names(f"{path}: hinges", hinges, set(bundle.names))
-
-
-def _refuse_constant(text: str) -> float:
-    raise BundleError(f"every number must be finite, got {text}.")
-
-
-def _same_names(what: str, found: set[str], expected: set[str]) -> None:
-    missing, unknown = sorted(expected - found), sorted(found - expected)
-    if missing or unknown:
-        raise BundleError(f"{what} disagree: missing {missing}, unknown {unknown}.")
+    same_names(f"{path}: hinges", hinges, set(bundle.names))
 
 
 def _joint(name: str, document: Any) -> JointSetup:
-    entry = _record(f"joint {name!r}: fields", document, _JOINT_FIELDS)
-    low, high = _numbers(f"joint {name!r}: range", entry["range"], 2)
+    entry = record(f"joint {name!r}: fields", document, _JOINT_FIELDS)
+    low, high = numbers(f"joint {name!r}: range", entry["range"], 2)
     for field in ("can_id", "sign"):
         if type(entry[field]) is not int:
-            raise BundleError(f"joint {name!r}: {field} must be a whole number, got {entry[field]!r}.")
-    numbers = {field: _number(f"joint {name!r}: {field}", entry[field]) for field in _JOINT_NUMBERS}
-    return JointSetup(name, entry["can_id"], entry["sign"], (low, high), **numbers)
-
-
-def _actor(document: Any, num_joints: int) -> Policy:
-    kind = document.get("kind") if isinstance(document, dict) else None
-    if kind == "gait":
-        return _gait(document, num_joints)
-    if kind == "perceptron":
-        return _perceptron(document, num_joints)
-    raise BundleError(f"actor kind must be 'gait' or 'perceptron', got {kind!r}.")
-
-
-def _gait_document(gait: Gait) -> dict[str, Any]:
-    return {
-        "kind": "gait",
-        "frequency": gait.frequency,
-        "amplitude": gait.amplitude.tolist(),
-        "phase": gait.phase.tolist(),
-        "offset": gait.offset.tolist(),
-    }
-
-
-def _gait(document: Any, num_joints: int) -> Gait:
-    entry = _record("actor: fields", document, _GAIT_FIELDS)
-    arrays = {name: _numbers(f"actor: {name}", entry[name], num_joints) for name in ("amplitude", "phase", "offset")}
-    frequency = _number("actor: frequency", entry["frequency"])
-    if frequency < 0.0:
-        raise BundleError(f"actor: frequency must be >= 0 Hz, got {frequency}.")
-    return Gait(frequency, *(np.array(arrays[name]) for name in ("amplitude", "phase", "offset")))
-
-
-def _perceptron_document(policy: Perceptron) -> dict[str, Any]:
-    actions = policy.actions
-    return {
-        "kind": "perceptron",
-        "history": policy.history,
-        "command": list(policy.command),
-        "input_centre": policy.input_centre.tolist(),
-        "input_gain": policy.input_gain.tolist(),
-        "layers": [{"weight": W.tolist(), "bias": b.tolist()} for W, b in policy.layers],
-        "actions": {name: getattr(actions, name).tolist() for name in _MAP_VECTORS}
-        | {"blend": actions.blend, "step": actions.step},
-    }
-
-
-def _perceptron(document: Any, num_joints: int) -> Perceptron:
-    entry = _record("actor: fields", document, _PERCEPTRON_FIELDS)
-    history = entry["history"]
-    if type(history) is not int or not 1 <= history <= MOST_HISTORY:
-        raise BundleError(f"actor: history must be a whole number in 1..{MOST_HISTORY}, got {history!r}.")
-    if not isinstance(entry["command"], list):
-        raise BundleError(f"actor: command must be a list of numbers, got {entry['command']!r}.")
-    command = tuple(_number("actor: command", value) for value in entry["command"])
-    actions = _record("actor: actions: fields", entry["actions"], _MAP_FIELDS)
-    vectors = {name: np.array(_numbers(f"actor: actions: {name}", actions[name], num_joints)) for name in _MAP_VECTORS}
-    blend, step = (_number(f"actor: actions: {name}", actions[name]) for name in ("blend", "step"))
-    if not isinstance(entry["layers"], list):
-        raise BundleError(f"actor: layers must be a list, got {entry['layers']!r}.")
-    inputs = {name: _array(f"actor: {name}", entry[name], 1) for name in ("input_centre", "input_gain")}
-    layers = []
-    for index, layer in enumerate(entry["layers"]):
-        fields = _record(f"actor: layer {index}: fields", layer, _LAYER_FIELDS)
-        layers.append((_array(f"actor: layer {index}: weight", fields["weight"], 2),
-                       _array(f"actor: layer {index}: bias", fields["bias"], 1)))  # fmt: skip
-    try:
-        joints = ActionMap(**vectors, blend=blend, step=step)
-        return Perceptron(tuple(layers), **inputs, actions=joints, history=history, command=command)
-    except ValueError as error:
-        raise BundleError(f"actor: {error}") from None
-
-
-def _array(what: str, value: Any, axes: int) -> Array:
-    """A rectangular list of lists of numbers."""
-    rows = value if axes == 2 else [value]
-    if not isinstance(rows, list) or not rows or not all(isinstance(row, list) for row in rows):
-        raise BundleError(f"{what} must be {'a matrix' if axes == 2 else 'a list of numbers'}.")
-    width = len(rows[0])
-    if not 0 < width <= MOST_UNITS or len(rows) > MOST_UNITS or any(len(row) != width for row in rows):
-        raise BundleError(f"{what} must be rectangular with 1 to {MOST_UNITS} numbers a side.")
-    numbers = np.array([[_number(what, number) for number in row] for row in rows])
-    return numbers if axes == 2 else numbers[0]
-
-
-def _record(what: str, document: Any, fields: tuple[str, ...]) -> dict[str, Any]:
-    if not isinstance(document, dict):
-        raise BundleError(f"{what} must be a JSON object, got {document!r}.")
-    _same_names(what, set(document), set(fields))
-    return document
-
-
-def _text(what: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise BundleError(f"{what} must be text, got {value!r}.")
-    return value
-
-
-def _number(what: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise BundleError(f"{what} must be a finite number, got {value!r}.")
-    return float(value)
-
-
-def _numbers(what: str, value: Any, count: int) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise BundleError(f"{what} must be a list of {count} numbers, got {value!r}.")
-    return [_number(what, item) for item in value]
+            raise BundleError(f"joint {name!r}: {field} must be a whole number, got {shown(entry[field])}.")
+    values = {field: number(f"joint {name!r}: {field}", entry[field]) for field in _JOINT_NUMBERS}
+    return JointSetup(name, entry["can_id"], entry["sign"], (low, high), **values)

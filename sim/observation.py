@@ -171,7 +171,8 @@ class ActionMap:
             object.__setattr__(self, name, value)
         if (self.low > self.high).any() or (self.scale < 0).any():
             raise ValueError(
-                f"Action bounds need low <= high and scale >= 0, got {self.low}, {self.high}, {self.scale}."
+                "Action bounds need low <= high and scale >= 0, "
+                f"got {self.low.tolist()}, {self.high.tolist()}, {self.scale.tolist()}."
             )
         if not 0.0 < self.blend <= 1.0:
             raise ValueError(f"Action blend must lie in (0, 1], got {self.blend}.")
