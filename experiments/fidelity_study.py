@@ -167,11 +167,11 @@ def summary(bodies: Sequence[Sequence[Walks]]) -> list[dict[str, Any]]:
 
 
 def spearman(one: Sequence[float | None], two: Sequence[float | None]) -> float:
-    """Rank correlation of the pairs in which neither is missing; 0 where there are fewer than three."""
+    """Rank correlation of the pairs in which neither is missing; 0 for fewer than three, or if all of one are equal."""
     from scipy.stats import spearmanr
 
     a, b = _both(one, two)
-    return float(spearmanr(a, b).statistic) if len(a) > 2 else 0.0
+    return float(spearmanr(a, b).statistic) if len(a) > 2 and len(set(a)) > 1 < len(set(b)) else 0.0
 
 
 def markdown(rows: Sequence[dict[str, Any]], args: argparse.Namespace) -> str:

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
-from mfg.description import HULL_VERTICES, Description, describe
+from mfg.description import FULL_HULL, HULL_VERTICES, PAPER_SKIN, Description, _mean_cover, describe
 from mfg.hulls import thinned
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score, virtual
@@ -101,3 +101,33 @@ def test_thinning_keeps_the_extremes_along_the_axes() -> None:
     kept = thinned(points, 40)
     assert len(kept) <= 40
     assert_allclose([kept.min(0), kept.max(0)], [points.min(0), points.max(0)])
+
+
+def test_skin_is_as_thick_as_the_gap_between_bone_and_hull(made: Blueprint) -> None:
+    robot = describe(made)
+    assert robot.skin == PAPER_SKIN
+    for link, body in zip(robot.links, made.bodies, strict=True):
+        assert body.skin is not None
+        # The creature's soft tissue reaches 15 to 20 mm beyond its bones, less where joints and neighbours clear it.
+        assert 0.004 < link.skin_thickness < 0.03
+
+
+def test_a_body_without_skin_is_bare(elbow: VoxelDesign) -> None:
+    assert [link.skin_thickness for link in describe(virtual(elbow).blueprint).links] == [0.0, 0.0]
+
+
+def test_cover_is_measured_far_from_the_bone_too(built: Outcome) -> None:
+    bone = built.blueprint.bodies[0].bone
+    surface = bone.origin + np.argwhere(np.abs(bone.values) < 0.2 * bone.spacing)[:40] * bone.spacing
+    middle = bone.centroid()
+    out = (surface - middle) / np.linalg.norm(surface - middle, axis=1, keepdims=True)
+    near, far = (_mean_cover(bone, surface + reach * out) for reach in (0.02, 0.10))
+    assert 0.012 < near < 0.022
+    assert 0.07 < far < 0.102
+
+
+def test_all_corners_of_a_hull_can_be_had(built: Outcome) -> None:
+    few, all_of_them = describe(built.blueprint), describe(built.blueprint, hull_vertices=FULL_HULL)
+    for some, full in zip(few.links, all_of_them.links, strict=True):
+        assert len(some.hull) <= HULL_VERTICES < len(full.hull)
+        assert ConvexHull(some.hull).volume == pytest.approx(ConvexHull(full.hull).volume, rel=0.05)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from mfg.description import Description, describe
 from mfg.export import robot_visuals
 from mfg.pipeline import Outcome, virtual
-from mfg.robot_files import hull_triangles, mesh_files, mjcf, urdf
+from mfg.robot_files import SKIN_MATERIAL, SKIN_THICKNESS, hull_triangles, mesh_files, mjcf, urdf
 from sim.model import compile_model, drive_of, load_model
 
 
@@ -126,3 +126,12 @@ def test_a_virtual_robot_has_files_too(built: Outcome, tmp_path: Path) -> None:
         (tmp_path / path).write_bytes(content)
     (tmp_path / "robot.xml").write_text(mjcf(robot))
     assert load_model(tmp_path / "robot.xml").nu == len(robot.joints)
+
+
+def test_the_mjcf_tells_of_its_skin(folder: Path, robot: Description) -> None:
+    model = mujoco.MjModel.from_xml_path(str(folder / "robot.xml"))
+    skin = robot.skin
+    told = (skin.youngs_modulus, skin.wall, skin.infill, skin.density)
+    assert_allclose(model.numeric(SKIN_MATERIAL).data, told)
+    for link in robot.links:
+        assert_allclose(model.numeric(SKIN_THICKNESS + link.name).data, link.skin_thickness)
