@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body
-from mfg.fields import OUTSIDE, Field, cylinder_depth, cylindrical
+from mfg.fields import Field, cylinder_depth, cylindrical
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
-from mfg.voxel_fields import between_centres, bone_field, opened_min
+from mfg.voxel_fields import between_centres, bone_field, halved, opened_min
 
 
 @dataclass(frozen=True)
@@ -24,23 +24,28 @@ class BoneSolver:
         gap: room left between neighbouring bones [m].
         cut_half_length: half length of the cylinder cut along each joint axis [m].
         max_loss: largest share of a bone that the cut may leave floating; more means the bone is severed.
+        fine: surfaces are rounded and kept apart at half the pitch, and depth is metric far inside, which hardware
+            needs; else at voxel centres, and depth ends where the design's own does: enough to weigh and to touch.
     """
 
     smoothing: float = 0.8
     gap: float = 2.0e-3
     cut_half_length: float = 0.080
     max_loss: float = 0.15
+    fine: bool = True
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `bodies` (bones only), or a skeleton failure."""
         design = blueprint.design
         if blueprint.tree is None:
             raise ValueError("the bone solver needs the tree of the skeleton solver")
-        whole = [bone_field(design, segment, self.smoothing) for segment in blueprint.tree.segments]
+        whole = [bone_field(design, segment, self.smoothing, self.fine) for segment in blueprint.tree.segments]
         apart = [
             separated(field, [other for j, other in enumerate(whole) if j != i], self.gap)
             for i, field in enumerate(whole)
         ]
+        if not self.fine:
+            apart = [halved(field) for field in apart]
         radius = mount_of(blueprint.catalogue.motor).attach_radius
         for hinge in blueprint.hinges:
             for body in (hinge.parent, hinge.body):
@@ -61,11 +66,13 @@ class BoneSolver:
 
 def separated(field: Field, others: list[Field], gap: float) -> Field:
     """Withdraw a body from the surface half-way to each of its neighbours, leaving `gap` between them [m]."""
-    values = field.values
+    values = field.values.copy()
     for other in others:
-        theirs = other.on_lattice_of(field)
-        if (theirs > OUTSIDE).any():
-            values = np.minimum(values, 0.5 * (field.values - theirs - np.float32(gap)))
+        shared = other.shared(field)
+        if shared is not None:
+            theirs, ours = shared
+            half_way = 0.5 * (field.values[ours] - other.values[theirs] - np.float32(gap))
+            values[ours] = np.minimum(values[ours], half_way)
     return field.with_values(values)
 
 

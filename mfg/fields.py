@@ -19,12 +19,12 @@ class Field:
     Attributes:
         values: phi [m], shape (nx, ny, nz), f4.
         corner: lattice index of `values[0, 0, 0]`; sample (i, j, k) lies at (corner + (i, j, k)) * spacing in the
-            design frame, so all fields of a blueprint share one lattice.
+            design frame. All fields of a blueprint share one lattice: their corners are whole numbers apart.
         spacing: distance between samples [m].
     """
 
     values: NDArray[np.float32]
-    corner: tuple[int, int, int]
+    corner: tuple[float, float, float]
     spacing: float
 
     @property
@@ -80,14 +80,23 @@ class Field:
     def on_lattice_of(self, other: Field) -> NDArray[np.float32]:
         """This field's values at the samples of `other` (same spacing), `OUTSIDE` where it has none."""
         out = np.full(other.values.shape, OUTSIDE, np.float32)
-        shift = np.subtract(self.corner, other.corner)
-        low = np.maximum(shift, 0)
-        high = np.minimum(shift + self.values.shape, other.values.shape)
-        if (high > low).all():
-            there = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-            here = tuple(slice(a, b) for a, b in zip(low - shift, high - shift, strict=True))
+        shared = self.shared(other)
+        if shared is not None:
+            here, there = shared
             out[there] = self.values[here]
         return out
+
+    def shared(self, other: Field) -> tuple[Window, Window] | None:
+        """The samples that two fields have in common, as windows of this one and of the other, or None."""
+        windows: list[tuple[slice, slice]] = []
+        for a, b, n, m in zip(self.corner, other.corner, self.values.shape, other.values.shape, strict=True):
+            shift = round(a - b)
+            low, high = max(shift, 0), min(shift + n, m)
+            if high <= low:
+                return None
+            windows.append((slice(low - shift, high - shift), slice(low, high)))
+        (x, u), (y, v), (z, w) = windows
+        return (x, y, z), (u, v, w)
 
 
 def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:

@@ -30,9 +30,10 @@ class Solver(Protocol):
         ...
 
 
-VIRTUAL: tuple[Solver, ...] = (SkeletonSolver(), BoneSolver(), SkinSolver())  # bodies, before any hardware
+BODIES: tuple[Solver, ...] = (SkeletonSolver(), BoneSolver(), SkinSolver())  # before any hardware
+VIRTUAL: tuple[Solver, ...] = (SkeletonSolver(), BoneSolver(fine=False), SkinSolver(fine=False))
 SCORING: tuple[Solver, ...] = (
-    *VIRTUAL,
+    *BODIES,
     MotionSolver(),
     MotorSolver(),
     ElectronicsSolver(),
@@ -107,7 +108,7 @@ def run(solvers: tuple[Solver, ...], blueprint: Blueprint) -> Outcome:
 
 
 def virtual(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
-    """Bones and skins only: the virtual robot, before any hardware is embedded."""
+    """Bones and skins only, as fine as weighing and touching need: the virtual robot, before any hardware."""
     return run(VIRTUAL, Blueprint(design, catalogue))
 
 

@@ -11,10 +11,19 @@ from scipy import ndimage
 from decoder.design import GRID, Material, VoxelDesign
 from mfg.blueprint import Blueprint, Body
 from mfg.bones import cut_cylinder
-from mfg.fields import OUTSIDE, Field
+from mfg.fields import Field
 from mfg.mounts import mount_of
 from mfg.outcome import Failure
-from mfg.voxel_fields import between_centres, bounding_window, opened_min, refined, smooth_field, whole_field
+from mfg.voxel_fields import (
+    at_centres,
+    between_centres,
+    bounding_window,
+    halved,
+    opened_min,
+    refined,
+    smooth_field,
+    whole_field,
+)
 
 SLACK = 1.0  # how far an opened field may err inwards: distances are taken between voxel centres [voxels]
 
@@ -31,6 +40,7 @@ class SkinSolver:
         smoothing: width of the Gaussian that rounds voxel steps [voxels].
         gap: room left between neighbouring skins [m].
         cut_half_length: half length of the motor cylinder, as in the bone processor [m].
+        fine: as in the bone processor.
     """
 
     joint_clearance: float = 0.065
@@ -38,16 +48,20 @@ class SkinSolver:
     smoothing: float = 0.8
     gap: float = 2.0e-3
     cut_half_length: float = 0.080
+    fine: bool = True
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `skin` set on every body that has soft tissue."""
         design = blueprint.design
         owner = soft_owner(design)
+        bones = blueprint.bodies
+        if not self.fine:
+            bones = tuple(replace(body, bone=at_centres(body.bone)) for body in bones)
         if design.depth is None:
             owner[self._near_joint(design)] = 0
-            outer = [self._from_labels(design, owner == body.segment, body) for body in blueprint.bodies]
+            outer = [self._from_labels(design, owner == body.segment, body) for body in bones]
         else:
-            outer = [self._from_depth(design, owner == body.segment, body) for body in blueprint.bodies]
+            outer = [self._from_depth(design, owner == body.segment, body) for body in bones]
         radius = mount_of(blueprint.catalogue.motor).attach_radius
         opening = 0.0 if design.depth is None else self._ball * design.pitch
         bodies = []
@@ -55,11 +69,13 @@ class SkinSolver:
             if whole is None:
                 bodies.append(body)
                 continue
-            field = _apart(whole, body, index, blueprint.bodies, outer, self.gap)
+            field = _apart(whole, bones[index], index, bones, outer, self.gap)
+            if not self.fine:
+                field = halved(field)
             for hinge in blueprint.hinges:
                 if index in (hinge.parent, hinge.body):
                     field = cut_cylinder(field, hinge.position, hinge.axis, radius, self.cut_half_length, opening)
-            if opening > 0:  # It may have taken thin bone along.
+            if opening > 0 or not self.fine:  # It may have taken thin bone along.
                 field = field.with_values(np.maximum(field.values, body.bone.on_lattice_of(field)))
             bodies.append(replace(body, skin=field))
         return replace(blueprint, bodies=tuple(bodies))
@@ -69,24 +85,29 @@ class SkinSolver:
         """Radius of a ball that reaches as far as `opening` does between voxel centres [voxels]."""
         return max(0.0, self.opening - 0.5)
 
+    @property
+    def _stride(self) -> int:
+        """Samples to a voxel."""
+        return 2 if self.fine else 1
+
     def _from_labels(self, design: VoxelDesign, soft: NDArray[np.bool_], body: Body) -> Field | None:
         """Surface of a body with soft voxels clear of joints, or None where no soft tissue is left."""
         kept = self._opened(soft, (design.segment == body.segment) & rigid(design))
         if kept is None:
             return None
-        smooth = smooth_field(kept, design.pitch, self.smoothing)
+        smooth = smooth_field(kept, design.pitch, self.smoothing, self.fine)
         return smooth.with_values(np.maximum(smooth.values, body.bone.on_lattice_of(smooth)))
 
     def _from_depth(self, design: VoxelDesign, soft: NDArray[np.bool_], body: Body) -> Field | None:
         """The same from the design's own depth and all soft voxels: cleared and opened as a field."""
         if not soft.any():
             return None
-        cleared = whole = whole_field(design, body.segment, soft, self.smoothing, self._ball)
+        cleared = whole = whole_field(design, body.segment, soft, self.smoothing, self._ball, self.fine)
         for joint in design.joints:
-            cleared = _cleared(cleared, joint.position, self.joint_clearance, self._ball * design.pitch)
+            cleared = _cleared(cleared, joint.position, self.joint_clearance, self._ball * design.pitch, self._stride)
         bone = body.bone.on_lattice_of(whole)
         values = np.maximum(cleared.values, bone)
-        opened = _opened_field(values, self._ball * design.pitch, design.pitch)
+        opened = _opened_field(values, self._ball * design.pitch, design.pitch, self._stride)
         if opened is None:
             return None
         field = whole.with_values(np.maximum(opened, bone))
@@ -128,33 +149,38 @@ def soft_owner(design: VoxelDesign) -> NDArray[np.int16]:
     owner = np.where(soft, design.segment, 0).astype(np.int16)
     orphan = soft & (design.segment == 0)
     if orphan.any():
-        nearest = ndimage.distance_transform_edt(~rigid(design), return_distances=False, return_indices=True)
-        owner[orphan] = design.segment[tuple(n[orphan] for n in nearest)]
+        around = bounding_window(design.material != Material.EMPTY)[1]
+        bare, orphan = ~rigid(design)[around], orphan[around]
+        nearest = ndimage.distance_transform_edt(bare, return_distances=False, return_indices=True)
+        owner[around][orphan] = design.segment[around][tuple(n[orphan] for n in nearest)]
     return owner
 
 
-def _opened_field(values: NDArray[np.float32], radius: float, pitch: float) -> NDArray[np.float32] | None:
+def _opened_field(values: NDArray[np.float32], radius: float, pitch: float, stride: int) -> NDArray[np.float32] | None:
     """Depth less what lies far from all places where a ball fits, or None where none fits anywhere."""
-    coarse = values[::2, ::2, ::2]  # at voxel centres
+    coarse = values[::stride, ::stride, ::stride]  # at voxel centres
     core = coarse > radius
     if not core.any():
         return None
     distance, nearest = ndimage.distance_transform_edt(~core, return_indices=True)
     # The core begins before its nearest sample does, by as much as that sample is deeper than the radius.
     beyond = np.float32(pitch) * distance.astype(np.float32) - (coarse[tuple(nearest)] - np.float32(radius))
-    room = refined(np.float32(radius + SLACK * pitch) - np.where(core, np.float32(0), beyond))
+    room = np.float32(radius + SLACK * pitch) - np.where(core, np.float32(0), beyond)
+    if stride > 1:
+        room = refined(room)
     return np.minimum(values, np.where(values > radius, values, room))
 
 
-def _cleared(field: Field, centre: NDArray[np.float64], clearance: float, radius: float) -> Field:
+def _cleared(field: Field, centre: NDArray[np.float64], clearance: float, radius: float, stride: int) -> Field:
     """Subtract a ball about a joint from a field; what is left is opened along the rim by a ball of `radius` [m]."""
-    near = field.window(centre, clearance + 2 * radius)
-    if near is None:
+    window = field.window(centre, clearance + 2 * radius)
+    if window is None:
         return field
-    window = between_centres(near)
+    if stride > 1:
+        window = between_centres(window)
     u, v, w = (np.square(axis - np.float32(c)) for axis, c in zip(field.axes(window), centre, strict=True))
     values = field.values.copy()
-    values[window] = opened_min(values[window], np.sqrt(u + v + w) - np.float32(clearance), radius)
+    values[window] = opened_min(values[window], np.sqrt(u + v + w) - np.float32(clearance), radius, stride)
     return field.with_values(values)
 
 
@@ -162,15 +188,18 @@ def _apart(
     field: Field, body: Body, index: int, bodies: tuple[Body, ...], outer: list[Field | None], gap: float
 ) -> Field:
     """Withdraw an outer surface from its neighbours' without ever leaving its own bone bare of itself."""
-    values = field.values
+    values = field.values.copy()
     for other_index, other in enumerate(bodies):
         if other_index == index:
             continue
-        bone = other.bone.on_lattice_of(field)
-        values = np.minimum(values, -bone - np.float32(gap))
+        shared = other.bone.shared(field)
+        if shared is not None:
+            theirs, ours = shared
+            values[ours] = np.minimum(values[ours], -other.bone.values[theirs] - np.float32(gap))
         skin = outer[other_index]
-        if skin is not None:
-            theirs = skin.on_lattice_of(field)
-            if (theirs > OUTSIDE).any():
-                values = np.minimum(values, 0.5 * (field.values - theirs - np.float32(gap)))
+        shared = None if skin is None else skin.shared(field)
+        if skin is not None and shared is not None:
+            theirs, ours = shared
+            half_way = 0.5 * (field.values[ours] - skin.values[theirs] - np.float32(gap))
+            values[ours] = np.minimum(values[ours], half_way)
     return field.with_values(np.maximum(values, body.bone.on_lattice_of(field)))

@@ -13,29 +13,31 @@ PAD = 3  # voxels around a voxel set in its field
 NEAR, FAR = 2.0, 4.0  # a design's own depth counts down to NEAR, distances between voxels from FAR on [voxels]
 
 
-def bone_field(design: VoxelDesign, segment: int, smoothing: float) -> Field:
+def bone_field(design: VoxelDesign, segment: int, smoothing: float, fine: bool = True) -> Field:
     """Depth in the bone of one segment, from the design's own depth where it has one, else from its labels.
 
     Args:
         design: that has this segment.
         segment: id of the bone.
         smoothing: width of the Gaussian that rounds voxel steps [voxels].
+        fine: samples at half the pitch, else at voxel centres only, where a depth is good at the surface only.
     """
-    return _of(design, (design.segment == segment) & (design.material == Material.RIGID), 0, smoothing)
+    return _of(design, (design.segment == segment) & (design.material == Material.RIGID), 0, smoothing, 0.0, fine)
 
 
 def whole_field(
-    design: VoxelDesign, segment: int, soft: NDArray[np.bool_], smoothing: float, opening: float = 0.0
-) -> Field:
+    design: VoxelDesign, segment: int, soft: NDArray[np.bool_], smoothing: float, opening: float = 0.0,
+    fine: bool = True,
+) -> Field:  # fmt: skip
     """Depth in the bone of one segment and the soft voxels given with it, (64, 64, 64), else as `bone_field`.
 
     Where the depth is the design's own, the rims of its boundary to other voxels are opened [voxels].
     """
     bone = (design.segment == segment) & (design.material == Material.RIGID)
-    return _of(design, soft | bone, 1, smoothing, opening)
+    return _of(design, soft | bone, 1, smoothing, opening, fine)
 
 
-def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) -> Field:
+def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float, fine: bool = True) -> Field:
     """Smooth signed depth of a voxel set on the half-voxel lattice, keeping its volume.
 
     The Euclidean depth at voxel centres is smoothed, interpolated to half the pitch (cubic), and shifted so that the
@@ -46,18 +48,22 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float) ->
             crop is padded.
         pitch: edge of a voxel [m].
         smoothing: Gaussian width [voxels].
+        fine: else samples at voxel centres only.
     """
     low, window = bounding_window(occupied)
     crop = np.pad(occupied[window], PAD)
-    depth = refined(_rounded_depth(crop, smoothing))
-    target = int(crop.sum()) * 8  # Samples per voxel on the fine lattice.
+    depth = _rounded_depth(crop, smoothing)
+    if fine:
+        depth = refined(depth)
+    target = int(crop.sum()) * (8 if fine else 1)  # Samples per voxel on the lattice.
     level = float(np.partition(depth.ravel(), -target)[-target]) if target < depth.size else 0.0
-    return _field(depth - np.clip(level, -0.5, 0.5), low, pitch)
+    return _field(depth - np.clip(level, -0.5, 0.5), low, pitch, fine)
 
 
 def measured_field(
-    occupied: NDArray[np.bool_], depth: NDArray[np.int8], pitch: float, smoothing: float, opening: float = 0.0
-) -> Field:
+    occupied: NDArray[np.bool_], depth: NDArray[np.int8], pitch: float, smoothing: float, opening: float = 0.0,
+    fine: bool = True,
+) -> Field:  # fmt: skip
     """Signed depth of a voxel set that is part of a solid of known depth, on the half-voxel lattice.
 
     Where the set ends with the solid, its surface is the solid's, depth 0, interpolated to half the pitch (cubic).
@@ -70,6 +76,7 @@ def measured_field(
         pitch: edge of a voxel [m].
         smoothing: width of the Gaussian that takes off steps [voxels].
         opening: radius of the ball that opens the rim where boundary and surface meet [voxels].
+        fine: else samples at voxel centres only, and no depth beyond the stored one.
     """
     low, window = bounding_window(occupied)
     crop = np.pad(occupied[window], PAD)
@@ -79,19 +86,35 @@ def measured_field(
     # Steps of 1/16 voxel would show as ripples. 2 G - G G takes them off and leaves cubic surfaces where they are.
     once = _blurred(known, smoothing)
     known = 2 * once - _blurred(once, smoothing)
+    others = inside & ~crop
+    if not fine:
+        if others.any():
+            known = opened_min(known, _blurred(_towards(crop, others), smoothing), opening, 1)
+        return _field(known, low, pitch, fine)
     # A stored depth ends somewhere; deep inside, distances between voxels keep the ridge where clearance is measured.
     far = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1] - 0.5
     share = np.clip((known - NEAR) / (FAR - NEAR), 0.0, 1.0)
-    fine = refined((known + share * (far - known)).astype(np.float32))
-    others = inside & ~crop
+    values = refined((known + share * (far - known)).astype(np.float32))
     if others.any():
         nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
         cell = crop[tuple(nearest)]
-        fine = opened_min(fine, refined(_rounded_depth(cell, smoothing)), opening)
-    return _field(fine, low, pitch)
+        values = opened_min(values, refined(_rounded_depth(cell, smoothing)), opening)
+    return _field(values, low, pitch, fine)
 
 
-def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
+def halved(field: Field) -> Field:
+    """A field of samples at voxel centres at half the pitch: what lies between them is interpolated (cubic)."""
+    x, y, z = (round(2 * c) for c in field.corner)
+    return Field(refined(field.values), (x, y, z), field.spacing / 2)
+
+
+def at_centres(field: Field) -> Field:
+    """The samples of a fine field that lie at voxel centres; `halved` keeps them."""
+    x, y, z = (c / 2 for c in field.corner)
+    return Field(np.ascontiguousarray(field.values[::2, ::2, ::2]), (x, y, z), field.spacing * 2)
+
+
+def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float, stride: int = 2) -> NDArray[np.float32]:
     """Depth in both of two regions, with the edges where their surfaces meet opened by a ball, wedges included.
 
     The centre of the ball keeps to a >= radius and b >= radius. Where the edge of that region is what is nearest, at
@@ -101,6 +124,7 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float) ->
         a: depth in one region, odd numbers of samples along every side.
         b: depth in the other, same samples.
         radius: of the ball, in the unit of the depths; 0 leaves every edge as it is.
+        stride: every how many samples slopes are taken; a multiple of it and one more are along every side.
     """
     least = np.minimum(a, b)
     if radius <= 0 or min(a.shape) < 3:
@@ -109,10 +133,13 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float) ->
     near = np.unravel_index(np.flatnonzero((least > -radius) & (np.maximum(a, b) < 2 * radius)), a.shape)
     if not near[0].size:
         return least
-    slopes = [np.gradient(depth[::2, ::2, ::2]) for depth in (a, b)]
+    slopes = [np.gradient(depth[::stride, ::stride, ::stride]) for depth in (a, b)]
     length = np.sqrt(np.prod([np.square(g).sum(axis=0) for g in slopes], axis=0))
     cosine = (np.asarray(slopes[0]) * slopes[1]).sum(axis=0) / np.maximum(length, np.finfo(np.float32).tiny)
-    c = ndimage.map_coordinates(cosine, np.asarray(near) / 2, np.float32, order=1, mode="nearest")
+    if stride == 1:
+        c = cosine[near]
+    else:
+        c = ndimage.map_coordinates(cosine, np.asarray(near) / stride, np.float32, order=1, mode="nearest")
     u, v = np.float32(radius) - a[near], np.float32(radius) - b[near]
     square = (u * u + v * v - 2 * c * u * v) / np.maximum(1 - c * c, np.float32(0.05))
     opened = np.float32(radius) - np.sqrt(np.maximum(square, 0))
@@ -133,10 +160,20 @@ def bounding_window(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Win
     return np.array([x.start, y.start, z.start]), (x, y, z)
 
 
-def _of(design: VoxelDesign, occupied: NDArray[np.bool_], layer: int, smoothing: float, opening: float = 0.0) -> Field:
+def _of(
+    design: VoxelDesign, occupied: NDArray[np.bool_], layer: int, smoothing: float, opening: float, fine: bool
+) -> Field:
     if design.depth is None:
-        return smooth_field(occupied, design.pitch, smoothing)
-    return measured_field(occupied, design.depth[layer], design.pitch, smoothing, opening)
+        return smooth_field(occupied, design.pitch, smoothing, fine)
+    return measured_field(occupied, design.depth[layer], design.pitch, smoothing, opening, fine)
+
+
+def _towards(own: NDArray[np.bool_], others: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """How much nearer every voxel is to one set than to another, as a depth that is 0 half-way [voxels]."""
+    there, here = (ndimage.distance_transform_edt(~voxels) for voxels in (others, own))
+    return ((there - here) / np.where(own | others, 1.0, 2.0) - np.where(own, 0.5, np.where(others, -0.5, 0.0))).astype(
+        np.float32
+    )
 
 
 def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float) -> NDArray[np.float32]:
@@ -170,8 +207,10 @@ def _halved(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.moveaxis(out, 0, axis)
 
 
-def _field(depth: NDArray[np.floating], low: NDArray[np.int64], pitch: float) -> Field:
-    """Depth [voxels] on the fine lattice of a crop that was padded by `PAD`, with its lowest voxel at `low`."""
-    # Centre of voxel i is lattice index 2 i + 1; refining keeps the first sample.
-    corner = tuple(int(v) for v in 2 * (low - PAD) + 1)
-    return Field(np.ascontiguousarray(depth * np.float32(pitch), np.float32), corner, pitch / 2)  # type: ignore[arg-type]
+def _field(depth: NDArray[np.floating], low: NDArray[np.int64], pitch: float, fine: bool) -> Field:
+    """Depth [voxels] on the lattice of a crop that was padded by `PAD`, with its lowest voxel at `low`."""
+    x, y, z = (int(v) - PAD for v in low)
+    values = np.ascontiguousarray(depth * np.float32(pitch), np.float32)
+    if fine:  # Centre of voxel i is lattice index 2 i + 1; refining keeps the first sample.
+        return Field(values, (2 * x + 1, 2 * y + 1, 2 * z + 1), pitch / 2)
+    return Field(values, (x + 0.5, y + 0.5, z + 0.5), pitch)

@@ -15,7 +15,7 @@ from mfg.motors import MotorSolver
 from mfg.mounts import connector, envelope, holder, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
-from mfg.pipeline import VIRTUAL, run
+from mfg.pipeline import BODIES, run
 from mfg.printability import PrintabilitySolver, outline_points, with_hardware
 from mfg.solids import from_field
 from mfg.voxel_fields import smooth_field
@@ -24,7 +24,7 @@ MOUNT = mount_of(PAPER.motor)
 
 
 def seated(design: VoxelDesign) -> Blueprint:
-    outcome = run((*VIRTUAL, MotionSolver(), MotorSolver()), Blueprint(design, PAPER))
+    outcome = run((*BODIES, MotionSolver(), MotorSolver()), Blueprint(design, PAPER))
     assert outcome.ok, outcome.failure
     return outcome.blueprint
 
