@@ -31,7 +31,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 # Errors of the library that say what is wrong with a file. By name, so that a command loads no more than it uses.
 BAD_INPUT_ERRORS = frozenset({
     "decoder.design_file.DesignError", "mfg.manifest.ManifestError", "sim.model.ModelError",
-    "hardware.bundle.BundleError", "evo.loop.ResumeError", "hardware.log.LogError", "decoder.weights.WeightsError",
+    "hardware.document.BundleError", "evo.loop.ResumeError", "hardware.log.LogError", "decoder.weights.WeightsError",
 })  # fmt: skip
 
 STORY = """\

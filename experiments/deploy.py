@@ -62,11 +62,12 @@ def main(args: argparse.Namespace) -> int:
         from hardware.bundle import load_bundle
 
         bundle = load_bundle(args.bundle)
+        if args.bus != VIRTUAL and not args.set_home:
+            _refuse_blind(bundle, args.bundle)
         with _stop_on_signals(), _line(args.bus, args.bundle, bundle, lock_step=args.dry_run) as line:
             if args.set_home:
                 return _set_home(bundle, line, as_json=args.json)
             if args.bus != VIRTUAL:
-                _refuse_blind(bundle, args.bundle)
                 say("no IMU is connected: the tilt guard is off; keep a hand on the power switch")
             result = _run(bundle, args.seconds, args.log, line)
     except KeyboardInterrupt:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bodies import ellipsoid, painted
+from policies import holding, oscillator
 
 from decoder.design import Joint, VoxelDesign
 from experiments.deploy import _stop_on_signals, bundle_of, dry_run
@@ -22,7 +23,7 @@ from mfg.description import Description, describe
 from mfg.export import write_blueprint
 from mfg.manifest import read_description
 from mfg.pipeline import build, virtual
-from sim.actor import Gait
+from sim.actor import Gait, Policy
 from sim.model import make_spec
 
 Cli = Callable[..., Any]
@@ -200,6 +201,38 @@ def test_a_logged_run_replays_and_another_policy_diverges(bodyplan: Cli, policy:
     assert divergence["joint"] == bundle.names[0]
     assert divergence["logged"]["position"] != divergence["recomputed"]["position"]
     assert "divergence in period" in bodyplan("replay", log, "--bundle", tmp_path / "other").out
+
+
+@pytest.mark.parametrize("actor", [holding(np.array([0.3])), oscillator(1)])
+def test_a_learned_policy_is_rehearsed_and_replayed(
+    bodyplan: Cli, robot: Description, kept: Path, tmp_path: Path, actor: Policy
+) -> None:
+    policy, log = tmp_path / "learned", tmp_path / "run.log"
+    save_bundle(policy, bundle_of(robot, actor), kept)
+    said = bodyplan("deploy", policy, "--dry-run", "--seconds", "4", "--log", log, "--json")
+    result = json.loads(said.out)
+    assert (said.status, result["latched"], result["state"]) == (0, None, "off"), said.err
+    states = [json.loads(line) for line in states_path(log).read_text().splitlines()[2:]]
+    angles = np.array([line["position"][0] for line in states if line["state"] == "policy"])
+    if actor.layout.history == 1:
+        assert angles[-1] == pytest.approx(0.3, abs=0.15)  # but for the load
+    else:
+        assert np.ptp(angles[-75:]) > 0.1
+    said = bodyplan("replay", log, "--json")
+    assert (said.status, json.loads(said.out)["divergence"]) == (0, None)
+    save_bundle(tmp_path / "other", bundle_of(robot, holding(np.array([-0.2]))))
+    assert bodyplan("replay", log, "--bundle", tmp_path / "other").status == 1
+
+
+def test_a_learned_policy_needs_an_imu_on_a_real_bus(
+    bodyplan: Cli, robot: Description, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_bundle(tmp_path / "learned", bundle_of(robot, oscillator(1)), kept)
+    monkeypatch.setattr("hardware.bus.open_port", lambda _: pytest.fail("a bus was opened"))
+    said = bodyplan("deploy", tmp_path / "learned", "--bus", "socketcan:can0")
+    assert (said.status, said.out) == (2, "")
+    assert "needs an IMU" in said.err
+    assert len(said.err.strip().splitlines()) == 1
 
 
 def test_a_policy_that_jumps_is_stopped_with_status_1(bodyplan: Cli, policy: Path) -> None:

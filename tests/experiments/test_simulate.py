@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from policies import holding, oscillator, perceptron
 
 from decoder.design import GRID, Joint, Material, VoxelDesign
 from hardware.bundle import Bundle, JointSetup, save_bundle
@@ -18,7 +19,7 @@ from mfg.description import Description, describe
 from mfg.pipeline import virtual
 from mfg.robot_files import mesh_files, mjcf
 from sim import gaits
-from sim.actor import Gait
+from sim.actor import Gait, Perceptron, Policy
 
 CONTRACT = {"seconds", "distance_m", "speed_m_s", "body_length_m", "fell", "cost_of_transport", "max_torque_Nm",
             "steps_per_s"}  # fmt: skip
@@ -69,11 +70,14 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def saved_bundle(description: Description, folder: Path, order: list[int]) -> Path:
+def saved_bundle(
+    description: Description, folder: Path, order: list[int], actor: Policy | None = None, **changes: Any
+) -> Path:
+    """A policy for the joints in the order given; the actor's own joints are in the robot's."""
     names = [description.joints[k].name for k in order]
     joints = tuple(JointSetup(n, k, 1, (-0.8, 0.8), 0.0, 40.0, 1.6, 19.0, 6.0, 24.0) for k, n in enumerate(names))
-    amplitude, phase = np.array([0.5, 0.3])[order], np.array([0.0, 1.5])[order]
-    save_bundle(folder, Bundle(description.name, joints, Gait(1.2, amplitude, phase, np.zeros(2)), 0.02))
+    actor = actor or Gait(1.2, np.array([0.5, 0.3]), np.array([0.0, 1.5]), np.zeros(2))
+    save_bundle(folder, replace(Bundle(description.name, joints, actor.arranged(order), 0.02), **changes))
     return folder
 
 
@@ -102,6 +106,68 @@ def test_a_policy_drives_the_joints_by_name_whatever_their_order(
     ]
     assert found[0]["gait"] == found[1]["gait"]
     assert found[0]["distance_m"] == found[1]["distance_m"]
+
+
+def test_a_learned_policy_drives_the_joints_by_name_whatever_their_order(
+    bodyplan: Callable[..., Any], blueprint: Path, description: Description, tmp_path: Path
+) -> None:
+    actor = perceptron(2, 3, history=2)
+    found = [
+        said_json(
+            bodyplan, blueprint, "--policy", saved_bundle(description, tmp_path / name, order, actor), "--seconds", 1
+        )
+        for name, order in (("plain", [0, 1]), ("swapped", [1, 0]))
+    ]
+    assert set(found[0]) >= CONTRACT
+    assert (found[0]["actor"], found[0]["gait"]) == ("perceptron", None)
+    for key in ("distance_m", "speed_m_s", "max_torque_Nm", "overload"):
+        assert found[0][key] == pytest.approx(found[1][key], rel=1e-4, abs=1e-6), key
+
+
+def test_a_learned_policy_moves_the_robot_and_is_filmed(
+    bodyplan: Callable[..., Any], blueprint: Path, description: Description, tmp_path: Path
+) -> None:
+    still = saved_bundle(description, tmp_path / "still", [0, 1], holding(np.zeros(2)))
+    swing = saved_bundle(description, tmp_path / "swing", [0, 1], oscillator(2))
+    film = tmp_path / "walk.png"
+    assert said_json(bodyplan, blueprint, "--policy", still, "--seconds", 2)["distance_m"] < 0.01
+    moved = said_json(bodyplan, blueprint, "--policy", swing, "--seconds", 4, "--video", film)
+    assert moved["max_torque_Nm"] > 1.0
+    assert film.exists()
+
+
+def test_the_low_pass_of_a_policy_is_part_of_it(
+    bodyplan: Callable[..., Any], blueprint: Path, description: Description, tmp_path: Path
+) -> None:
+    plain = saved_bundle(description, tmp_path / "plain", [0, 1])
+    slow = saved_bundle(description, tmp_path / "slow", [0, 1], time_constant=1.0)
+    fast, damped = (said_json(bodyplan, blueprint, "--policy", p, "--seconds", 2) for p in (plain, slow))
+    assert damped["max_torque_Nm"] < 0.7 * fast["max_torque_Nm"]
+
+
+def wild(num_joints: int) -> Perceptron:
+    """Its numbers overflow, infinity less infinity."""
+    policy = perceptron(num_joints, units=())
+    weight = 1e200 * np.resize([1.0, -1.0], policy.layout.size)[:, None] * np.ones(num_joints)
+    return replace(policy, input_gain=np.full(policy.layout.size, 1e200), layers=((weight, np.zeros(num_joints)),))
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        ({"actor": wild(2)}, 1, "policy said what is no number"),
+        ({"actor": perceptron(2), "dt": 0.01}, 2, "acts every 0.01 s; what is simulated here acts every 0.02 s"),
+    ],
+)
+def test_a_learned_policy_that_cannot_drive_is_one_clear_line(
+    bodyplan: Callable[..., Any], blueprint: Path, description: Description, tmp_path: Path, options: dict[str, Any],
+    status: int, message: str,
+) -> None:  # fmt: skip
+    policy = saved_bundle(description, tmp_path / "policy", [0, 1], **options)
+    answer = bodyplan("simulate", blueprint, "--policy", policy, "--seconds", 1, "--json")
+    assert (answer.status, answer.out) == (status, "")
+    assert message in answer.err
+    assert len(answer.err.strip().splitlines()) == 1
 
 
 def test_a_design_walks_before_it_has_hardware(
