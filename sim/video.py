@@ -27,6 +27,7 @@ TRAIL = (0.85, 0.25, 0.20)  # where the camera has followed the centre of mass
 TRAIL_WIDTH = 0.008  # [m]
 GROUND = ((0.95, 0.95, 0.94), (0.84, 0.84, 0.83))  # tiles of ground that is not level
 GROUND_LINES = (0.005, 0.25, 0.5, 0.75, 0.995)  # where in a tile its height is asked; a step may lie between two tiles
+LEDGE = 0.02  # height of a ledge that is outlined [m]
 GROUND_REACH = 2.4  # and so far about the robot, in half body lengths
 MUJOCO_GREY = (0.5, 0.5, 0.5, 1.0)  # a geom without a colour
 
@@ -122,7 +123,13 @@ def _ground(model: Model, centre: tuple[float, float], reach: float) -> list[Sha
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
     quads = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=-2)
     odd = (row[:-1, None] + column[None, :-1]) % 2
-    return [Shape(vertices, quads[odd == k].reshape(-1, 3), colour) for k, colour in enumerate(GROUND)]
+    # Tiles of another height are shapes of their own, because shapes have outlines: ledges show from above, too.
+    every = np.arange(len(row) - 1) // len(GROUND_LINES) * len(GROUND_LINES)
+    level = np.round(vertices[corner[np.ix_(every, every)], 2] / LEDGE)
+    return [
+        Shape(vertices, quads[(odd == k) & (level == at)].reshape(-1, 3), colour)
+        for at in np.unique(level) for k, colour in enumerate(GROUND)
+    ]  # fmt: skip
 
 
 def _trail(path: NDArray[np.float64]) -> list[Shape]:
