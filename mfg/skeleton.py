@@ -11,6 +11,7 @@ from scipy import ndimage
 from decoder.design import Material, VoxelDesign
 from mfg.blueprint import Blueprint, Hinge, Tree
 from mfg.outcome import Failure, Reason, Stage
+from mfg.voxel_fields import bounding_window
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class SkeletonSolver:
         if not design.joints:
             return _fail(Reason.NO_JOINT, f"{len(design.segments)} segment(s) and no joint: nothing can move")
         labels = np.where(design.material == Material.RIGID, design.segment, 0)
+        labels = labels[bounding_window(labels > 0)[1]]
         thin = self._too_thin(labels, design.segments)
         if thin is not None:
             return thin
@@ -64,6 +66,8 @@ class SkeletonSolver:
                 return _fail(
                     Reason.DISCONNECTED, f"segment {segment} falls into {count} pieces of {sizes.tolist()} voxels"
                 )
+            if self.min_depth <= 1.5 and _has_core(crop):
+                continue
             depth = float(ndimage.distance_transform_edt(crop).max()) - 0.5
             if depth < self.min_depth:
                 return _fail(
@@ -71,6 +75,16 @@ class SkeletonSolver:
                     f"segment {segment} is {depth:.1f} voxels deep at its thickest, needs {self.min_depth:g}",
                 )
         return None
+
+
+def _has_core(occupied: NDArray[np.bool_]) -> bool:
+    """Whether some voxel has all 26 neighbours: then it lies 2 voxels from the nearest empty one, or more."""
+    for axis in range(3):
+        if occupied.shape[axis] < 3:
+            return False
+        low, middle, high = (occupied.take(range(k, occupied.shape[axis] - 2 + k), axis) for k in range(3))
+        occupied = low & middle & high
+    return bool(occupied.any())
 
 
 def contacts(labels: NDArray[np.integer]) -> dict[tuple[int, int], int]:

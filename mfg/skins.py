@@ -111,8 +111,12 @@ class SkinSolver:
         if opened is None:
             return None
         field = whole.with_values(np.maximum(opened, bone))
-        centres = (np.argwhere(soft).astype(np.float64) + 0.5) * design.pitch
-        return field if (field.sample(centres) > 0).any() else None
+        low, window = bounding_window(soft)
+        # The first sample is a voxel's centre, and the field holds every soft voxel.
+        first = [round(v) for v in (low + 0.5) * design.pitch / field.spacing - np.asarray(field.corner)]
+        here = tuple(slice(f, None, self._stride) for f in first)
+        n, m, k = soft[window].shape
+        return field if (field.values[here][:n, :m, :k][soft[window]] > 0).any() else None
 
     def _near_joint(self, design: VoxelDesign) -> NDArray[np.bool_]:
         near = np.zeros((GRID, GRID, GRID), bool)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from decoder.design import DEPTH_UNIT, Material, VoxelDesign
 from mfg.fields import Field, Window
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 PAD = 3  # voxels around a voxel set in its field
 NEAR, FAR = 2.0, 4.0  # a design's own depth counts down to NEAR, distances between voxels from FAR on [voxels]
@@ -51,7 +55,7 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float, fi
         fine: else samples at voxel centres only.
     """
     low, window = bounding_window(occupied)
-    crop = np.pad(occupied[window], PAD)
+    crop = _around(occupied, window)
     depth = _rounded_depth(crop, smoothing)
     if fine:
         depth = refined(depth)
@@ -79,9 +83,8 @@ def measured_field(
         fine: else samples at voxel centres only, and no depth beyond the stored one.
     """
     low, window = bounding_window(occupied)
-    crop = np.pad(occupied[window], PAD)
-    around = tuple(slice(int(a), int(a) + n) for a, n in zip(low, crop.shape, strict=True))
-    known = np.pad(depth, PAD, mode="edge")[around].astype(np.float32) / np.float32(DEPTH_UNIT)
+    crop = _around(occupied, window)
+    known = _around(depth, window, "edge").astype(np.float32) / np.float32(DEPTH_UNIT)
     inside = known > 0
     # Steps of 1/16 voxel would show as ripples. 2 G - G G takes them off and leaves cubic surfaces where they are.
     once = _blurred(known, smoothing)
@@ -89,7 +92,9 @@ def measured_field(
     others = inside & ~crop
     if not fine:
         if others.any():
-            known = opened_min(known, _blurred(_towards(crop, others), smoothing), opening, 1)
+            here = _reached(others)
+            beside = _blurred(_towards(crop[here], others[here]), smoothing)
+            known[here] = opened_min(known[here], beside, opening, 1)
         return _field(known, low, pitch, fine)
     # A stored depth ends somewhere; deep inside, distances between voxels keep the ridge where clearance is measured.
     far = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1] - 0.5
@@ -155,9 +160,22 @@ def between_centres(window: Window) -> Window:
 
 def bounding_window(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Window]:
     """Lowest corner and slices of the box around the true voxels of a grid; at least one must be true."""
-    spans = [np.flatnonzero(occupied.any(axis=tuple(b for b in range(3) if b != a))) for a in range(3)]
-    x, y, z = (slice(int(s[0]), int(s[-1]) + 1) for s in spans)
+    x = _span(occupied.any(axis=(1, 2)))
+    y = _span(occupied[x].any(axis=(0, 2)))
+    z = _span(occupied[x, y].any(axis=(0, 1)))
     return np.array([x.start, y.start, z.start]), (x, y, z)
+
+
+def _span(occupied: NDArray[np.bool_] | np.bool_) -> slice:
+    along = np.atleast_1d(occupied)
+    return slice(int(along.argmax()), len(along) - int(along[::-1].argmax()))
+
+
+def _around(grid: NDArray[Scalar], window: Window, mode: Literal["constant", "edge"] = "constant") -> NDArray[Scalar]:
+    """A window of a grid with `PAD` more voxels around, made up by np.pad's `mode` where the grid ends."""
+    wide = tuple(slice(max(s.start - PAD, 0), s.stop + PAD) for s in window)
+    short = [(max(PAD - s.start, 0), max(s.stop + PAD - n, 0)) for s, n in zip(window, grid.shape, strict=True)]
+    return np.pad(grid[wide], short, mode=mode) if any(map(any, short)) else grid[wide]
 
 
 def _of(
@@ -166,6 +184,12 @@ def _of(
     if design.depth is None:
         return smooth_field(occupied, design.pitch, smoothing, fine)
     return measured_field(occupied, design.depth[layer], design.pitch, smoothing, opening, fine)
+
+
+def _reached(voxels: NDArray[np.bool_]) -> Window:
+    """The box around voxels and `PAD` more on every side, as far as the array goes."""
+    x, y, z = (slice(max(s.start - PAD, 0), s.stop + PAD) for s in bounding_window(voxels)[1])
+    return x, y, z
 
 
 def _towards(own: NDArray[np.bool_], others: NDArray[np.bool_]) -> NDArray[np.float32]:
