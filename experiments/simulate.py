@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--virtual", action="store_true", help="a design as drawn, before any hardware is put into it")
     parser.add_argument("--terrain", choices=TERRAINS, default="flat", help="what it walks on (flat)")
     parser.add_argument("--fidelity", choices=FIDELITIES, default=FIDELITIES[0], metavar="|".join(FIDELITIES),
-                        help=f"how the soft skin is modelled; the later, the slower ({FIDELITIES[0]})")  # fmt: skip
+                        help="how the soft skin is modelled; a gait is searched on the first, the default")  # fmt: skip
     add_pipeline_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
@@ -49,11 +49,14 @@ def main(args: argparse.Namespace) -> int:
 
     if args.video is not None:
         _check_film(args.video)
-    model = _model(args)
+    model = _model(args, args.fidelity)
     if model is None:
         return INFEASIBLE
+    # Finite elements are much too slow to search on: the gait is found on the default model and tried on the other.
+    quick = _model(args, FIDELITIES[0]) if args.policy is None and args.fidelity != FIDELITIES[0] else model
+    assert quick is not None
     try:
-        driver = _search(model, args) if args.policy is None else load_driver(args.policy, model)
+        driver = _search(quick, args) if args.policy is None else load_driver(args.policy, model)
     except Diverged as error:
         say(f"bodyplan: {error}")
         return INFEASIBLE
@@ -78,12 +81,12 @@ def main(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _model(args: argparse.Namespace) -> Model | None:
+def _model(args: argparse.Namespace, level: str) -> Model | None:
     """The model of a blueprint or a design, or None where the design cannot be built and the reason was said."""
     from sim.model import load_spec, make_spec
     from sim.skin import Fidelity
 
-    path, virtual, fidelity = args.robot, args.virtual, Fidelity(args.fidelity)
+    path, virtual, fidelity = args.robot, args.virtual, Fidelity(level)
     if path.is_dir() or path.suffix.lower() == ".xml":
         file = path / MODEL_FILE if path.is_dir() else path
         if path.is_dir() and not file.exists():
@@ -147,6 +150,7 @@ def _document(args: argparse.Namespace, model: Model, driver: Driver, behaviour:
         **behaviour.to_json(),
         "robot": model_name(model),
         "terrain": args.terrain,
+        "fidelity": args.fidelity,
         "policy": None if args.policy is None else str(args.policy),
         "actor": "perceptron" if gait is None else "gait",
         "gait": None if gait is None else _numbers(gait),
