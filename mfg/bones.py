@@ -49,7 +49,9 @@ class BoneSolver:
         radius = mount_of(blueprint.catalogue.motor).attach_radius
         for hinge in blueprint.hinges:
             for body in (hinge.parent, hinge.body):
-                apart[body] = cut_cylinder(apart[body], hinge.position, hinge.axis, radius, self.cut_half_length)
+                apart[body] = cut_cylinder(
+                    apart[body], hinge.position, hinge.axis, radius, self.cut_half_length, snug=not self.fine
+                )
         bodies = []
         for index, (segment, field) in enumerate(zip(blueprint.tree.segments, apart, strict=True)):
             kept, lost = largest_piece(field)
@@ -78,10 +80,16 @@ def separated(field: Field, others: list[Field], gap: float) -> Field:
 
 def cut_cylinder(
     field: Field, centre: NDArray[np.float64], axis: NDArray[np.float64], radius: float, half_length: float,
-    opening: float = 0.0,
+    opening: float = 0.0, snug: bool = False,
 ) -> Field:  # fmt: skip
-    """Subtract a cylinder about a joint axis from a field, and open the rim by a ball of radius `opening` [m]."""
-    window = field.window(centre, float(np.hypot(radius, half_length)) + 2 * max(opening, field.spacing))
+    """Subtract a cylinder about a joint axis from a field, and open the rim by a ball of radius `opening` [m].
+
+    Depth further than that from the cylinder is the distance to it, too, or with `snug` not touched.
+    """
+    reach = np.full(3, np.hypot(radius, half_length))
+    if snug:
+        reach = np.abs(axis) * half_length + np.sqrt(np.maximum(1.0 - np.square(axis), 0.0)) * radius
+    window = field.window(centre, reach + 2 * max(opening, field.spacing))
     if window is None:
         return field
     if opening > 0:

@@ -194,6 +194,5 @@ def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:
     distance = -bone.sample(points).astype(np.float64)
     far = distance > _DEPTH_KNOWN
     if far.any():  # a bone's depth is kept near it only
-        at_surface = np.argwhere(np.abs(bone.values) < bone.spacing)
-        distance[far] = cKDTree(bone.origin + at_surface * bone.spacing).query(points[far])[0]
+        distance[far] = cKDTree(outline(bone, _HULL_LINES).points).query(points[far])[0]
     return float(np.maximum(distance, 0.0).mean())

@@ -46,8 +46,8 @@ class Field:
                    for a, s in enumerate(spans))  # fmt: skip
         return x[:, None, None], y[None, :, None], z[None, None, :]
 
-    def window(self, centre: NDArray[np.float64], reach: float) -> Window | None:
-        """The samples within `reach` [m] of a point along every axis, or None where there are none."""
+    def window(self, centre: NDArray[np.float64], reach: float | NDArray[np.float64]) -> Window | None:
+        """The samples within `reach` [m] of a point along every (or each) axis, or None where there are none."""
         low = np.floor((centre - reach - self.origin) / self.spacing).astype(int).clip(0, self.values.shape)
         high = np.ceil((centre + reach - self.origin) / self.spacing).astype(int) + 1
         high = high.clip(0, self.values.shape)

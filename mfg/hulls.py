@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 TOUCH = 1e-7  # a point that stands out by less adds nothing [m]
-_ROUND = 32  # corners added at a time
+_ROUND = 40  # corners added at a time
 # Of many points on a face square to an axis, a tilt finds a corner, where the axis itself would find any.
 _TILT = np.array([3e-7, 2e-7, 1e-7])
 

@@ -250,8 +250,9 @@ class _Patches:
     def inside(self) -> Moments:
         """Moments of what the surface encloses at 1 kg/m3, negative for a hollow."""
         volume, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+        edges = np.searchsorted(self.shape.axis, np.arange(4))
         for axis in range(3):
-            along = self.shape.axis == axis
+            along = slice(int(edges[axis]), int(edges[axis + 1]))
             points, mass = self.shape.points[along], self.shape.flow[along] * (self.sign / 3.0)
             # The integral of x^k along the line is x^(k + 1) / (k + 1).
             power = np.ones(3)

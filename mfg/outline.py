@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.fields import Field
+from mfg.voxel_fields import bounding_window
 
 _MARGIN = 2  # samples around what is inside: a crossing's outer end and its neighbour
 
@@ -27,7 +28,7 @@ class Outline:
         normals: unit vectors that point out of the body, (n, 3).
         area: of the patch that each crossing stands for [m2], (n,).
         flow: h^2 times the coordinate along the crossing line, above 0 where it leaves the body upwards [m3], (n,).
-        axis: of each crossing line, (n,).
+        axis: of each crossing line, (n,), in ascending order.
     """
 
     points: NDArray[np.float64]
@@ -85,18 +86,11 @@ def _along(
 
 def _cropped(field: Field) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """The values around what is inside, with a margin outside all around, and the lowest sample."""
-    inside = field.values > 0
-    low, high = np.zeros(3, np.int64), np.array(field.values.shape)
-    for axis, size in enumerate(field.values.shape):
-        span = np.flatnonzero(inside.any(axis=tuple(a for a in range(3) if a != axis)))
-        if len(span):
-            low[axis], high[axis] = max(int(span[0]) - _MARGIN, 0), min(int(span[-1]) + 1 + _MARGIN, size)
-            inside = inside[tuple(slice(low[a], high[a]) if a == axis else slice(None) for a in range(3))]
-    x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    values = field.values[x, y, z]
-    rim = (values[:_MARGIN], values[-_MARGIN:], values[:, :_MARGIN], values[:, -_MARGIN:],
-           values[:, :, :_MARGIN], values[:, :, -_MARGIN:])  # fmt: skip
-    if any((part > 0).any() for part in rim):
-        values = np.pad(values, _MARGIN, constant_values=-np.float32(field.spacing))
-        low -= _MARGIN
-    return np.ascontiguousarray(values), low
+    low, window = bounding_window(field.values > 0)
+    wide = tuple(slice(max(s.start - _MARGIN, 0), s.stop + _MARGIN) for s in window)
+    short = [(max(_MARGIN - s.start, 0), max(s.stop + _MARGIN - n, 0))
+             for s, n in zip(window, field.values.shape, strict=True)]  # fmt: skip
+    values = field.values[wide]
+    if any(map(any, short)):
+        values = np.pad(values, short, constant_values=-np.float32(field.spacing))
+    return np.ascontiguousarray(values), low - _MARGIN

@@ -74,7 +74,9 @@ class SkinSolver:
                 field = halved(field)
             for hinge in blueprint.hinges:
                 if index in (hinge.parent, hinge.body):
-                    field = cut_cylinder(field, hinge.position, hinge.axis, radius, self.cut_half_length, opening)
+                    field = cut_cylinder(
+                        field, hinge.position, hinge.axis, radius, self.cut_half_length, opening, not self.fine
+                    )
             if opening > 0 or not self.fine:  # It may have taken thin bone along.
                 field = field.with_values(np.maximum(field.values, body.bone.on_lattice_of(field)))
             bodies.append(replace(body, skin=field))
