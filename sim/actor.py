@@ -157,13 +157,18 @@ class Perceptron:
         return ObservationLayout(self.num_joints, self.history, bool(self.command))
 
     def say(self, observation: ArrayLike) -> Array:
-        """What the last layer says, (..., n), on observations (..., size); not finite where the numbers overflow."""
+        """What the last layer says, (..., n), on observations (..., size); not finite where the numbers overflow.
+
+        It is the same to the bit however many observations are given together.
+        """
         with np.errstate(over="ignore", invalid="ignore"):  # who commands a motor looks for it in any case
             x = (np.asarray(observation, dtype=np.float64) - self.input_centre) * self.input_gain
+            # Row by row: one product of all rows would round by how many they are, and feet do not forgive a bit.
+            x = x[..., None, :]
             for W, b in self.layers[:-1]:
                 x = np.tanh(x @ W + b)
             W, b = self.layers[-1]
-            return np.asarray(x @ W + b)
+            return np.asarray(x @ W + b)[..., 0, :]
 
     def act(self, time: float, observation: Array) -> Array:  # noqa: ARG002 - the state says enough.
         """Give the joint targets (..., n) [rad]; they start from the previous ones, which are in the observation."""

@@ -91,7 +91,7 @@ class Herd:
         return -turn[:, 2], gyro
 
     def place(self, ids: Ids, states: Array) -> None:
-        """Put copies into full states, (len(ids), nstate), and forget what happened to them."""
+        """Put copies, `ids` rising, into full states, (len(ids), nstate), and forget what happened to them."""
         if len(ids) == 0:
             return
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)

@@ -29,6 +29,9 @@ class Noise:
     velocity: float = 0.75  # [rad/s]
 
 
+WHITE = Noise()
+
+
 @dataclass(frozen=True, slots=True)
 class Randomisation:
     """Ranges from which every episode draws its robot; a factor multiplies what the model has."""
@@ -48,7 +51,7 @@ class Randomisation:
     encoder_offset: float = 0.03  # of each joint within this much [rad]: homing by hand against a printed mark
     push_speed: float = 0.3  # horizontal kick of the root [m/s] ...
     push_every: float = 4.0  # ... about so often [s]
-    noise: Noise | None = Noise()
+    noise: Noise | None = WHITE
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -56,15 +59,20 @@ class Randomisation:
             value = getattr(self, field.name)
             if isinstance(value, tuple):
                 low, high = value
-                if not (np.isfinite(value).all() and 0.0 <= low <= high):
+                # All but the latency are drawn in their logarithm.
+                least, sign = (0.0, "<=") if field.name == "latency" else (np.finfo(np.float64).tiny, "<")
+                if not (np.isfinite(value).all() and least <= low <= high):
                     raise ValueError(
-                        f"randomisation: {field.name} is {value}; it must be a range with 0 <= low <= high"
+                        f"randomisation: {field.name} is {value}; it must be a range with 0 {sign} low <= high"
                     )
             elif isinstance(value, float) and not 0.0 <= value < np.inf:
                 raise ValueError(f"randomisation: {field.name} is {value}; it must be finite and not negative")
+        if not self.push_every > 0.0:
+            raise ValueError(f"randomisation: push_every is {self.push_every}; it must be above 0 s")
 
 
-NONE = Randomisation(
+RANDOMISED = Randomisation()
+EXACT = Randomisation(
     latency=(0.008, 0.008), stiffness=(1.0, 1.0), damping=(1.0, 1.0), voltage=(1.0, 1.0), friction=(0.8, 0.8),
     contact_time=(1.0, 1.0), mass=(1.0, 1.0), gyro_bias=0.0, imu_turn=0.0, encoder_offset=0.0, push_speed=0.0,
     noise=None,
@@ -147,7 +155,9 @@ def draw(ranges: Randomisation, rng: np.random.Generator, count: int, num_joints
 
 
 def apply(herd: Herd, ids: NDArray[np.intp], draws: Draws) -> None:
-    """Make copies into the robots that were drawn, one row of `draws` for each of `ids`; place them afterwards.
+    """Make copies into the robots that were drawn, one row of `draws` for each of `ids`, which rise.
+
+    Place them afterwards.
 
     Raises:
         ValueError: if a latency is longer than the model's buffer; compile it with `sim.herd.with_latency_room`.
