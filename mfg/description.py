@@ -20,7 +20,6 @@ from mfg.parts import PAPER
 
 HULL_VERTICES = 128  # at most, per link
 FULL_HULL = 10**6  # more vertices than any hull has
-_HULL_LINES = 2  # a hull of so few corners needs no point more often than every so many samples
 _DEPTH_KNOWN = 0.03  # from a bone's surface, at least so far out [m]
 
 
@@ -186,7 +185,7 @@ def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
     if solids:
         return np.concatenate(solids)
     shape = blueprint.bodies[body]
-    return outline(shape.skin or shape.bone, _HULL_LINES).points  # a skin field holds its bone
+    return outline(shape.skin or shape.bone).sparse()  # a skin field holds its bone
 
 
 def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:
@@ -194,5 +193,5 @@ def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:
     distance = -bone.sample(points).astype(np.float64)
     far = distance > _DEPTH_KNOWN
     if far.any():  # a bone's depth is kept near it only
-        distance[far] = cKDTree(outline(bone, _HULL_LINES).points).query(points[far])[0]
+        distance[far] = cKDTree(outline(bone).sparse()).query(points[far])[0]
     return float(np.maximum(distance, 0.0).mean())

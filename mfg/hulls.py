@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-TOUCH = 1e-7  # a point that stands out by less adds nothing [m]
+TOUCH = 1e-6  # a point that stands out by less adds nothing, and single precision tells no less [m]
 _ROUND = 40  # corners added at a time
 # Of many points on a face square to an axis, a tilt finds a corner, where the axis itself would find any.
 _TILT = np.array([3e-7, 2e-7, 1e-7])
@@ -23,10 +23,12 @@ def thinned(points: NDArray[np.float64], most: int) -> NDArray[np.float64]:
     axes = np.concatenate([np.eye(3), -np.eye(3)]) + _TILT
     directions = np.concatenate([axes, _spread_directions(max(most // 2 - 6, 1))])
     chosen = np.unique((directions @ points.T).argmax(1))
+    middle = points[chosen].mean(axis=0)
+    near = np.concatenate([(points - middle).T, np.ones((1, len(points)))]).astype(np.float32)
     left = np.arange(len(points))  # what may still stand out
     while len(chosen) < most:
-        facets = ConvexHull(points[chosen]).equations
-        outside = facets[:, :3] @ points[left].T + facets[:, 3:]
+        facets = ConvexHull(points[chosen] - middle).equations
+        outside = facets.astype(np.float32) @ near
         farthest = outside.argmax(1)  # of each facet
         reach = outside[np.arange(len(facets)), farthest]
         rank = [int(k) for k in np.argsort(-reach, kind="stable") if reach[k] > TOUCH]
@@ -34,7 +36,8 @@ def thinned(points: NDArray[np.float64], most: int) -> NDArray[np.float64]:
         if not fresh:
             break
         chosen = np.sort(np.concatenate([chosen, fresh[: min(_ROUND, most - len(chosen))]]).astype(np.int64))
-        left = left[outside.max(0) > TOUCH]
+        out = outside.max(0) > TOUCH
+        left, near = left[out], near[:, out]
     return points[chosen]
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mfg.fields import Field
 from mfg.voxel_fields import bounding_window
 
+_EDGE = 0.7  # a surface is less steep than this at its edges only
 _MARGIN = 2  # samples around what is inside: a crossing's outer end and its neighbour
 
 
@@ -29,6 +30,7 @@ class Outline:
         area: of the patch that each crossing stands for [m2], (n,).
         flow: h^2 times the coordinate along the crossing line, above 0 where it leaves the body upwards [m3], (n,).
         axis: of each crossing line, (n,), in ascending order.
+        steepness: |grad phi|, about 1, but less at edges, where slopes of two sides are mixed, (n,).
     """
 
     points: NDArray[np.float64]
@@ -36,41 +38,41 @@ class Outline:
     area: NDArray[np.float64]
     flow: NDArray[np.float64]
     axis: NDArray[np.int64]
+    steepness: NDArray[np.float64]
+
+    def sparse(self) -> NDArray[np.float64]:
+        """Some of the points that show the whole shape: every third, and every one at an edge, (n, 3)."""
+        kept = self.steepness < _EDGE
+        kept[::3] = True
+        return self.points[kept]
 
 
-def outline(field: Field, every: int = 1) -> Outline:
-    """The crossings of a field's lattice lines with its surface; none where it is nowhere positive.
-
-    Args:
-        field: of a body.
-        every: take a line every so many samples; h is their distance.
-    """
+def outline(field: Field) -> Outline:
+    """The crossings of a field's lattice lines with its surface; none where it is nowhere positive."""
     values, low = _cropped(field)
     flat = values.ravel()
     inside = flat > 0
-    found = [_along(axis, flat, inside, values.shape, every) for axis in range(3)]
+    found = [_along(axis, flat, inside, values.shape) for axis in range(3)]
     start, share, slope = (np.concatenate([f[k] for f in found]) for k in range(3))
     axis = np.repeat(np.arange(3), [len(f[0]) for f in found])
     row = np.arange(len(axis))
     points = np.stack(np.unravel_index(start, values.shape), axis=1).astype(np.float64) + low + np.asarray(field.corner)
     points[row, axis] += share
     points *= field.spacing
-    normals = slope / -np.maximum(np.sqrt(np.square(slope).sum(1)), np.finfo(np.float64).tiny)[:, None]
-    cell = (every * field.spacing) ** 2
+    rise = np.sqrt(np.square(slope).sum(1))
+    normals = slope / -np.maximum(rise, np.finfo(np.float64).tiny)[:, None]
+    cell = field.spacing**2
     flow = cell * np.where(inside[start], 1.0, -1.0) * points[row, axis]
-    return Outline(points, normals, cell * np.abs(normals[row, axis]), flow, axis)
+    return Outline(points, normals, cell * np.abs(normals[row, axis]), flow, axis, rise / field.spacing)
 
 
 def _along(
-    axis: int, flat: NDArray[np.float32], inside: NDArray[np.bool_], shape: tuple[int, ...], every: int
+    axis: int, flat: NDArray[np.float32], inside: NDArray[np.bool_], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Sample before each crossing along one axis, share of the way to the next one, and slope there (n, 3)."""
     strides = (shape[1] * shape[2], shape[2], 1)
     step = strides[axis]
     start = np.flatnonzero(inside[:-step] != inside[step:])  # rows end outside, so no step from row to row counts
-    if every > 1:
-        aside = [index for other, index in enumerate(np.unravel_index(start, shape)) if other != axis]
-        start = start[(aside[0] % every == 0) & (aside[1] % every == 0)]
     end = start + step
     first, last = flat[start].astype(np.float64), flat[end].astype(np.float64)
     share = first / (first - last)
