@@ -14,7 +14,7 @@ from mfg.blueprint import Blueprint, Transform
 from mfg.catalogue import Filament, Motor
 from mfg.fields import Field
 from mfg.hulls import thinned
-from mfg.masses import body_masses
+from mfg.masses import body_masses, outlines
 from mfg.outline import outline
 from mfg.parts import PAPER
 
@@ -146,18 +146,27 @@ def describe(blueprint: Blueprint, *, hull_vertices: int = HULL_VERTICES) -> Des
     """
     if not blueprint.bodies:
         raise ValueError(f"design {blueprint.design.key} has no bodies yet; run the skeleton and bone solvers first")
-    masses = blueprint.masses or body_masses(blueprint)
+    shapes = None if blueprint.parts else outlines(blueprint)
+    masses = blueprint.masses or body_masses(blueprint, shapes)
     origins = [masses[0].com, *(hinge.position for hinge in blueprint.hinges)]
     parents = [-1, *(hinge.parent for hinge in blueprint.hinges)]
     links = []
     for index, body in enumerate(blueprint.bodies):
         origin, parent = np.asarray(origins[index], np.float64), parents[index]
         properties = masses[index]
-        hull = thinned(_surface_points(blueprint, index), hull_vertices)
+        if shapes is None:
+            points = np.concatenate([part.solid.vertices for part in blueprint.parts if part.body == index])
+        else:
+            shape = shapes[index][1] or shapes[index][0]  # a skin holds its bone
+            points = shape.sparse() if hull_vertices <= HULL_VERTICES else shape.points
+        hull, thickness = thinned(points, hull_vertices), 0.0
+        if body.skin is not None:
+            bare = shapes[index][0] if shapes else outline(body.bone)
+            thickness = _mean_cover(body.bone, hull, bare.sparse())
         links.append(Link(
             name=body.name, parent=parent, T=origin if parent < 0 else origin - origins[parent], mass=properties.mass,
             com=properties.com - origin, inertia=properties.inertia,
-            hull=hull - origin, skin_thickness=0.0 if body.skin is None else _mean_cover(body.bone, hull),
+            hull=hull - origin, skin_thickness=thickness,
         ))  # fmt: skip
     joints = tuple(
         DescribedJoint(
@@ -179,19 +188,13 @@ def describe(blueprint: Blueprint, *, hull_vertices: int = HULL_VERTICES) -> Des
     )  # fmt: skip
 
 
-def _surface_points(blueprint: Blueprint, body: int) -> NDArray[np.float64]:
-    """Points on the surface of a body's bone and skin [m], (n, 3)."""
-    solids = [part.solid.vertices for part in blueprint.parts if part.body == body]
-    if solids:
-        return np.concatenate(solids)
-    shape = blueprint.bodies[body]
-    return outline(shape.skin or shape.bone).sparse()  # a skin field holds its bone
+def _mean_cover(bone: Field, points: NDArray[np.float64], at_surface: NDArray[np.float64]) -> float:
+    """Mean distance of points (n, 3) on the skin from the bone [m]; a point inside the bone counts as 0.
 
-
-def _mean_cover(bone: Field, points: NDArray[np.float64]) -> float:
-    """Mean distance of points (n, 3) on the skin from the bone [m]; a point inside the bone counts as 0."""
+    The bone is given by its depth and by points on its surface, (m, 3).
+    """
     distance = -bone.sample(points).astype(np.float64)
     far = distance > _DEPTH_KNOWN
     if far.any():  # a bone's depth is kept near it only
-        distance[far] = cKDTree(outline(bone).sparse()).query(points[far])[0]
+        distance[far] = cKDTree(at_surface).query(points[far])[0]
     return float(np.maximum(distance, 0.0).mean())

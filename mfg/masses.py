@@ -131,23 +131,33 @@ def polyline_moments(mass_per_metre: float, path: NDArray[np.float64]) -> Moment
     return _of_simplices(pieces, length, 2, 1.0 / 6.0).scaled(mass_per_metre)
 
 
-def body_masses(blueprint: Blueprint) -> tuple[MassProperties, ...]:
+def outlines(blueprint: Blueprint) -> list[tuple[Outline, Outline | None]]:
+    """The outline of every body's bone and, where it has one, of its skin with the bone in it."""
+    return [(outline(b.bone), None if b.skin is None else outline(b.skin)) for b in blueprint.bodies]
+
+
+def body_masses(
+    blueprint: Blueprint, shapes: Sequence[tuple[Outline, Outline | None]] | None = None
+) -> tuple[MassProperties, ...]:
     """Mass properties of every body, in the order of `blueprint.bodies`.
 
     Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise. A motor belongs to
     the body that holds its housing; its rotor turns with the output, but is counted here as part of the motor, and its
     spin enters the simulation as armature. Before motors have seats they sit at their hinges, on the parent, and
-    before the electronics have theirs they sit at the root's centre.
+    before the electronics have theirs they sit at the root's centre. `shapes` are the blueprint's `outlines`, from
+    a caller who has them already.
     """
     moments = [NOTHING for _ in blueprint.bodies]
-    for body, printed in printed_by_body(blueprint):
+    for body, printed in printed_by_body(blueprint, shapes):
         moments[body] = moments[body] + printed
     for body, component in component_moments(blueprint):
         moments[body] = moments[body] + component
     return tuple(m.properties() for m in moments)
 
 
-def printed_by_body(blueprint: Blueprint) -> list[tuple[int, Moments]]:
+def printed_by_body(
+    blueprint: Blueprint, shapes: Sequence[tuple[Outline, Outline | None]] | None = None
+) -> list[tuple[int, Moments]]:
     """(body, moments) of everything that is printed."""
     rigid, soft, width = blueprint.catalogue.rigid, blueprint.catalogue.soft, blueprint.catalogue.printer.line_width
     if blueprint.parts:
@@ -155,11 +165,9 @@ def printed_by_body(blueprint: Blueprint) -> list[tuple[int, Moments]]:
                                             rigid if part.material == "rigid" else soft, width))
                 for part in blueprint.parts]  # fmt: skip
     found = []
-    for index, body in enumerate(blueprint.bodies):
-        bone = outline(body.bone)
+    for index, (body, (bone, skin)) in enumerate(zip(blueprint.bodies, shapes or outlines(blueprint), strict=True)):
         found.append((index, outline_moments(bone, rigid, width)))
-        if body.skin is not None:
-            skin = outline(body.skin)
+        if body.skin is not None and skin is not None:
             covered = (body.bone.sample(skin.points) < -width, body.skin.sample(bone.points) > width)
             found.append((index, covering_moments(skin, bone, covered, soft, width)))
     return found

@@ -184,6 +184,8 @@ def _cleared(field: Field, centre: NDArray[np.float64], clearance: float, radius
         return field
     if stride > 1:
         window = between_centres(window)
+    elif not (field.values[window] > 0).any():  # at voxel centres, only the surface counts
+        return field
     u, v, w = (np.square(axis - np.float32(c)) for axis, c in zip(field.axes(window), centre, strict=True))
     values = field.values.copy()
     values[window] = opened_min(values[window], np.sqrt(u + v + w) - np.float32(clearance), radius, stride)

@@ -11,6 +11,7 @@ from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
 from mfg.description import FULL_HULL, HULL_VERTICES, PAPER_SKIN, Description, _mean_cover, describe
 from mfg.hulls import thinned
+from mfg.outline import outline
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score, virtual
 
@@ -121,7 +122,7 @@ def test_cover_is_measured_far_from_the_bone_too(built: Outcome) -> None:
     surface = bone.origin + np.argwhere(np.abs(bone.values) < 0.2 * bone.spacing)[:40] * bone.spacing
     middle = bone.centroid()
     out = (surface - middle) / np.linalg.norm(surface - middle, axis=1, keepdims=True)
-    near, far = (_mean_cover(bone, surface + reach * out) for reach in (0.02, 0.10))
+    near, far = (_mean_cover(bone, surface + reach * out, outline(bone).sparse()) for reach in (0.02, 0.10))
     assert 0.012 < near < 0.022
     assert 0.07 < far < 0.102
 
