@@ -56,11 +56,10 @@ def smooth_field(occupied: NDArray[np.bool_], pitch: float, smoothing: float, fi
     """
     low, window = bounding_window(occupied)
     crop = _around(occupied, window)
-    depth = _rounded_depth(crop, smoothing)
-    if fine:
-        depth = refined(depth)
-    target = int(crop.sum()) * (8 if fine else 1)  # Samples per voxel on the lattice.
+    depth = refined(_rounded_depth(crop, smoothing))
+    target = int(crop.sum()) * 8  # Samples per voxel on the fine lattice.
     level = float(np.partition(depth.ravel(), -target)[-target]) if target < depth.size else 0.0
+    depth = depth if fine else depth[::2, ::2, ::2]
     return _field(depth - np.clip(level, -0.5, 0.5), low, pitch, fine)
 
 
