@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 import matplotlib as mpl
@@ -36,8 +37,8 @@ _STYLE: dict[Any, Any] = {
 def pass_through_bars(table: PassThrough) -> bytes:
     """Share of designs that every stage lets through, of those that reached it, beside the paper's."""
     rows = [row for row in table.rows() if row.stage != "worker" or row.failed]
-    with mpl.rc_context(_STYLE):
-        axes, figure = _axes(6.4, 0.42 * (len(rows) + 1) + 0.9)
+    with styled():
+        axes, figure = panel(6.4, 0.42 * (len(rows) + 1) + 0.9)
         names = [row.stage for row in rows] + ["all stages"]
         shares = [row.remaining for row in rows] + [table.rate]
         place = np.arange(len(names))[::-1]
@@ -56,13 +57,13 @@ def pass_through_bars(table: PassThrough) -> bytes:
         axes.set_xlabel("remaining of those that reached the stage [%]", loc="right")
         axes.spines["left"].set_visible(False)
         axes.tick_params(axis="y", length=0)
-        return _png(figure)
+        return png(figure)
 
 
 def score_histogram(passed: Sequence[float], failed: Sequence[float], winner: float | None = None) -> bytes:
     """Designs per interval of S_mfg (paper Fig. 3E); failed ones have the scores of the stages they passed."""
-    with mpl.rc_context(_STYLE):
-        axes, figure = _axes(6.4, 2.9)
+    with styled():
+        axes, figure = panel(6.4, 2.9)
         edges = np.linspace(0.0, 5.0, 26).tolist()
         axes.hist(
             [np.asarray(passed), np.asarray(failed)], edges, stacked=True, rwidth=0.9, color=[BEST, RULE],
@@ -76,14 +77,14 @@ def score_histogram(passed: Sequence[float], failed: Sequence[float], winner: fl
         axes.set_ylabel("designs")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         figure.legend(loc="outside upper right", ncols=3)
-        return _png(figure)
+        return png(figure)
 
 
 def lda_map(lda: FailureLda) -> bytes | None:
     """Failures on their discriminants (paper Fig. 3A), fitted to them and held out; None without two classes."""
     if lda.balanced_accuracy is None:
         return None
-    with mpl.rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(7.6, 3.9), layout="constrained", dpi=DPI)
         panels = figure.subplots(1, 2)
         titles = ("Discriminants fitted to these very designs", "The same, each design held out of its fit")
@@ -93,7 +94,7 @@ def lda_map(lda: FailureLda) -> bytes | None:
         _same_limits(panels)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-        return _png(figure)
+        return png(figure)
 
 
 def fitness_curve(
@@ -108,7 +109,7 @@ def fitness_curve(
     best = np.maximum.accumulate([fitness[has & (generation == g)].max(initial=-np.inf) for g in every])
     median = [np.median(fitness[has & (generation == g)]) if (has & (generation == g)).any() else np.nan for g in every]
     share = [100.0 * passed[generation == g].mean() if (generation == g).any() else np.nan for g in every]
-    with mpl.rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(6.4, 3.9), layout="constrained", dpi=DPI)
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
         upper.plot(generation[has], fitness[has], ".", color=FILL, ms=4, alpha=0.7, label="each body")
@@ -124,7 +125,7 @@ def fitness_curve(
         lower.set_xlabel("generation")
         lower.set_xlim(-0.6, last + 0.6)
         lower.xaxis.set_major_locator(MaxNLocator(integer=True))
-        return _png(figure)
+        return png(figure)
 
 
 def training_curve(seconds: Sequence[float], bodies: Sequence[float], figures: Mapping[str, Sequence[float]]) -> bytes:
@@ -138,7 +139,7 @@ def training_curve(seconds: Sequence[float], bodies: Sequence[float], figures: M
     columns = min(4, max(len(figures), 1))
     rows = max(-(-len(figures) // columns), 1)
     unit, name = (3600.0, "h") if seconds[-1] >= 7200.0 else (60.0, "min") if seconds[-1] >= 120.0 else (1.0, "s")
-    with mpl.rc_context(_STYLE):
+    with styled():
         figure = Figure(figsize=(2.3 * columns, 1.6 * rows + 0.6), layout="constrained", dpi=DPI)
         panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
         for axes, (label, values) in zip(panels, figures.items(), strict=False):
@@ -157,13 +158,13 @@ def training_curve(seconds: Sequence[float], bodies: Sequence[float], figures: M
             axes.tick_params(labelbottom=True)  # the lowest of its column, which need not be in the last row
         figure.supxlabel(f"time spent on training [{name}], {bodies[-1]:.0f} bodies in all",
                          fontsize=9.0)  # fmt: skip
-        return _png(figure)
+        return png(figure)
 
 
 def score_bars(scores: Mapping[str, float | None]) -> bytes:
     """The five scores of one design; what it did not reach is left open."""
-    with mpl.rc_context(_STYLE):
-        axes, figure = _axes(6.4, 2.0)
+    with styled():
+        axes, figure = panel(6.4, 2.0)
         place = np.arange(len(scores))[::-1]
         for y, value in zip(place, scores.values(), strict=True):
             axes.barh(y, 1.0, 0.6, color="#f1f3f5")
@@ -174,7 +175,7 @@ def score_bars(scores: Mapping[str, float | None]) -> bytes:
         axes.spines[["left", "bottom"]].set_visible(False)
         axes.tick_params(length=0)
         axes.set_xticks([])
-        return _png(figure)
+        return png(figure)
 
 
 def _scatter(axes: Axes, points: NDArray[np.float64], lda: FailureLda) -> None:
@@ -199,12 +200,25 @@ def _same_limits(panels: Sequence[Axes]) -> None:
             getattr(axes, write)(min(low), max(high))
 
 
-def _axes(width: float, height: float) -> tuple[Axes, Figure]:
+def styled() -> AbstractContextManager[None]:
+    """Within it, figures are made in the style of the reports."""
+    return mpl.rc_context(_STYLE)
+
+
+def panel(width: float, height: float) -> tuple[Axes, Figure]:
+    """A figure of one panel, in inches."""
     figure = Figure(figsize=(width, height), layout="constrained", dpi=DPI)
     return figure.subplots(), figure
 
 
-def _png(figure: Figure) -> bytes:
+def panels(width: float, height: float, rows: int, columns: int, **options: Any) -> tuple[NDArray[Any], Figure]:
+    """A figure of many panels, in inches: axes (rows, columns)."""
+    figure = Figure(figsize=(width, height), layout="constrained", dpi=DPI)
+    return figure.subplots(rows, columns, squeeze=False, **options), figure
+
+
+def png(figure: Figure) -> bytes:
+    """The bytes of a figure's file, the same for the same figure."""
     data = io.BytesIO()
     figure.savefig(data, format="png", metadata={"Software": None})
     return data.getvalue()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from experiments.policy import Driver
     from sim.actor import Gait
     from sim.model import Model
-    from sim.rollout import Behaviour
+    from sim.rollout import Behaviour, Rollouts
 
 HELP = "let a blueprint or a design walk, measure it and film it"
 MODEL_FILE = "robot.xml"
@@ -32,6 +32,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", type=Path, metavar="BUNDLE", help="policy bundle; without one a gait is searched")
     parser.add_argument("--seconds", type=_seconds, default=10.0, help="how long to measure (10)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film it: .mp4, or .png for a strip of moments")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FOLDER|FILE.html",
+        help="write a page about it: gait diagram, motors against their limits; with the film, if .mp4",
+    )
     parser.add_argument("--seed", type=seed, default=0, help="of the search for a gait, and of the terrain (0)")
     parser.add_argument("--virtual", action="store_true", help="a design as drawn, before any hardware is put into it")
     parser.add_argument("--terrain", choices=TERRAINS, default="flat", help="what it walks on (flat)")
@@ -44,11 +50,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Simulate one robot; status 1 if the design cannot be built or its physics explodes."""
     from experiments.policy import load_driver
+    from sim.behaviour import motor_limits, motor_uses, motor_warnings
     from sim.closed_loop import roll_out_policy
     from sim.rollout import Diverged, measure
 
     if args.video is not None:
         _check_film(args.video)
+    if args.report is not None:
+        _check_report(args.report)
     model = _model(args, args.fidelity)
     if model is None:
         return INFEASIBLE
@@ -74,10 +83,25 @@ def main(args: argparse.Namespace) -> int:
         say(f"drawing {args.video}")
         save = save_strip if args.video.suffix.lower() == ".png" else save_video
         save(args.video, model, rollouts)
+    limits, uses = motor_limits(model), motor_uses(model, rollouts)
+    cannot = motor_warnings(limits, uses)
+    page = None if args.report is None else _report(args, model, driver, rollouts, behaviour)
     if args.json:
-        emit(_document(args, model, driver, behaviour))
+        found = _document(args, model, driver, behaviour)
+        emit(
+            found
+            | {
+                "motors": [use.to_json() for use in uses],
+                "warnings": list(cannot),
+                "report": None if page is None else str(page),
+            }
+        )
     else:
         _tell(args, behaviour)
+        for line in cannot:
+            print(f"warning: {line}")
+        if page is not None:
+            print(f"report in {page}")
     return DONE
 
 
@@ -139,6 +163,30 @@ def _check_film(path: Path) -> None:
         raise BadInput(f"--video {path}: a film ends in {' or '.join(FILMS)}")
     if not path.parent.is_dir():
         raise BadInput(f"--video {path}: there is no folder {path.parent}")
+
+
+def _check_report(path: Path) -> None:
+    if path.suffix.lower() == ".html":
+        if not path.parent.is_dir():
+            raise BadInput(f"--report {path}: there is no folder {path.parent}")
+    elif path.exists() and not path.is_dir():
+        raise BadInput(f"--report {path}: it is a file that does not end in .html, and no folder")
+
+
+def _report(args: argparse.Namespace, model: Model, driver: Driver, rollouts: Rollouts, behaviour: Behaviour) -> Path:
+    from experiments.behaviour_page import write_behaviour_page
+    from sim.actor import Gait
+    from sim.model import model_name
+
+    kind = "open-loop gait" if isinstance(driver.actor, Gait) else "learned policy"
+    facts = [
+        ("robot", f"{model_name(model)}, from {args.robot}"),
+        ("policy", f"{kind}, {'found by a search just now' if args.policy is None else f'from {args.policy}'}"),
+        ("ground", args.terrain), ("skin", args.fidelity), ("measured", f"{behaviour.seconds:g} s after half a second"),
+    ]  # fmt: skip
+    film = args.video if args.video is not None and args.video.suffix.lower() == ".mp4" else None
+    title = f"How {args.robot.stem} moves"
+    return write_behaviour_page(args.report, model, rollouts, behaviour, title=title, facts=facts, film=film)
 
 
 def _document(args: argparse.Namespace, model: Model, driver: Driver, behaviour: Behaviour) -> dict[str, Any]:

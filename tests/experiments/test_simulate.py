@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -207,9 +208,54 @@ def test_a_film_is_drawn_and_people_get_sentences(
         assert image.size == (1920, 240)
 
 
+def test_a_report_is_one_page_with_everything_in_it(
+    bodyplan: Callable[..., Any], blueprint: Path, description: Description, tmp_path: Path
+) -> None:
+    policy = saved_bundle(description, tmp_path / "swing", [1, 0], oscillator(2))
+    film = tmp_path / "walk.mp4"
+    words = ("--policy", policy, "--seconds", 1)
+    found = said_json(bodyplan, blueprint, *words, "--report", tmp_path / "new" / "folder", "--video", film)
+    page = tmp_path / "new" / "folder" / "behaviour.html"
+    assert found["report"] == str(page)
+    text = page.read_text("utf-8")
+    for part in ("How it looks", "Gait", "Motors", "Joints", "learned policy", "swing", "data:video/mp4;base64,"):
+        assert part in text, part
+    assert text.count("data:image/png;base64,") == 5
+    assert "http" not in text.replace("http://www.w3.org", "")
+    for joint in description.joints:
+        assert joint.name in text
+    assert [motor["joint"] for motor in found["motors"]] == [joint.name for joint in description.joints]
+    assert found["warnings"] == []
+    assert "The motors can do all" in text
+    plain = said_json(bodyplan, blueprint, *words)
+    assert plain["report"] is None
+    assert {k: v for k, v in found.items() if k not in ("report", "video", "steps_per_s")} == {
+        k: v for k, v in plain.items() if k not in ("report", "video", "steps_per_s")
+    }
+
+
+def test_what_the_motors_could_not_do_is_said(
+    bodyplan: Callable[..., Any], blueprint: Path, description: Description, tmp_path: Path
+) -> None:
+    robot = blueprint / "robot.xml"
+    text, count = re.subn(r' user="[^"]*"', ' user="0.1"', robot.read_text())
+    assert count == 2
+    robot.write_text(text)
+    policy = saved_bundle(description, tmp_path / "policy", [0, 1])
+    page = tmp_path / "page.html"
+    answer = bodyplan("simulate", blueprint, "--policy", policy, "--seconds", 1, "--report", page)
+    assert answer.status == 0
+    assert "warning: " in answer.out
+    assert "it would overheat" in answer.out
+    assert f"report in {page}" in answer.out
+    assert "The real motors could not do this." in page.read_text("utf-8")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["--report", "nowhere/page.html"], "there is no folder nowhere"),
+        (["--report", "pyproject.toml"], "it is a file that does not end in .html"),
         (["--video", "walk.gif"], "a film ends in .mp4 or .png"),
         (["--video", "nowhere/walk.mp4"], "there is no folder nowhere"),
         (["--seconds", "0"], "out of bounds"),
