@@ -11,17 +11,18 @@ import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study, train_decoder
+from experiments import build, deploy, doctor, replay, report, run, sample, score, simulate, study, train, train_decoder
 from experiments.output import BAD_INPUT, DEFECT, INTERRUPTED, VERSION, BadInput, say
 
 # In the order in which a new user meets them. Their files import nothing heavy until they run.
 COMMANDS = {
     "run": run, "sample": sample, "build": build, "score": score, "study": study, "simulate": simulate,
-    "deploy": deploy, "replay": replay, "report": report, "train-decoder": train_decoder, "doctor": doctor,
+    "train": train, "deploy": deploy, "replay": replay, "report": report, "train-decoder": train_decoder,
+    "doctor": doctor,
 }  # fmt: skip
 
 # Commands of the design that this version does not know yet.
-LATER = {"train": "training a policy", "studio": "the studio"}
+LATER = {"studio": "the studio"}
 
 # Workers are processes, one per core; a maths library that starts threads of its own makes all of them slower, and its
 # sums depend on the number of threads. Must be set before numpy is imported.

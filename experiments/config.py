@@ -8,7 +8,7 @@ import math
 import re
 import tomllib
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -16,6 +16,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 from experiments.output import DECODERS, DEFAULT_DECODER, MOST_BODIES, SEED_BOUND, WEIGHTS_SUFFIX, BadInput
+from experiments.policy_config import Policy
+from experiments.toml_text import flat, toml_table, toml_value
 
 if TYPE_CHECKING:
     from evo.fitness import FitnessRule
@@ -43,7 +45,6 @@ NO_RESULT = ("workers", "film")  # keys that change no number of a run
 
 # Words of the design that this version does not know yet.
 LATER = {
-    ("kind", "policy"): "training a policy",
     ("solver", "search"): "searching by the solvers",
     ("catalogue", "auto"): "the choice of components per joint",
 }
@@ -205,8 +206,8 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
     gait: ThoroughGait = ThoroughGait()
 
 
-Config = Evolve | Study | Sketch
-KINDS: dict[str, type[Evolve] | type[Study] | type[Sketch]] = {"evolve": Evolve, "study": Study, "sketch": Sketch}
+Config = Evolve | Study | Sketch | Policy
+KINDS: dict[str, type[Config]] = {"evolve": Evolve, "study": Study, "sketch": Sketch, "policy": Policy}
 
 
 def load_config(path: Path) -> Config:
@@ -220,6 +221,8 @@ def load_config(path: Path) -> Config:
     config = parse_config(document, str(path))
     if isinstance(config, Sketch):
         return msgspec.structs.replace(config, design=str((path.parent / config.design).resolve()))
+    if isinstance(config, Policy):
+        return msgspec.structs.replace(config, robot=str((path.parent / config.robot).resolve()))
     if config.decoder not in DECODERS:
         return msgspec.structs.replace(config, decoder=str((path.parent / config.decoder).resolve()))
     return config
@@ -278,18 +281,18 @@ def parse_config(document: dict[str, Any], name: str) -> Config:
 
 def to_toml(config: Struct) -> str:
     """Write a configuration with every value, so that it says all there is to say about a run."""
-    return "".join(_toml_table(msgspec.to_builtins(config), ""))
+    return "".join(toml_table(msgspec.to_builtins(config), ""))
 
 
 def config_hash(config: Config) -> str:
     """16 hex digits over everything that can change a result."""
-    lines = [f"{key} = {_toml_value(value)}" for key, value in _flat(config) if key not in NO_RESULT]
+    lines = [f"{key} = {toml_value(value)}" for key, value in flat(config) if key not in NO_RESULT]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
 def differences(then: Struct, now: Struct, free: Sequence[str] = NO_RESULT) -> list[str]:
     """What two configurations disagree on, but for the keys that are free to differ: those that change no result."""
-    before, after = dict(_flat(then)), dict(_flat(now))
+    before, after = dict(flat(then)), dict(flat(now))
     keys = [key for key in {**before, **after} if key not in free and before.get(key) != after.get(key)]
     return [f"{key} was {_shown(before.get(key))} and is now {_shown(after.get(key))}" for key in keys]
 
@@ -358,45 +361,7 @@ def _shown(value: object) -> str:
     if value is None:
         return "not set"
     try:
-        text = _toml_value(value)
+        text = toml_value(value)
     except TypeError:
         text = "a table" if isinstance(value, dict) else str(value)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _flat(config: Struct) -> Iterator[tuple[str, Any]]:
-    """Every value under its dotted key, in order."""
-
-    def walk(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-        for key, value in table.items():
-            if isinstance(value, dict):
-                yield from walk(value, f"{prefix}{key}.")
-            else:
-                yield prefix + key, value
-
-    return walk({k: v for k, v in msgspec.to_builtins(config).items() if v is not None}, "")
-
-
-def _toml_table(table: dict[str, Any], name: str) -> Iterator[str]:
-    """Values of a table first, then its tables; no value is None in TOML, so those are left out."""
-    if name:
-        yield f"\n[{name}]\n"
-    for key, value in table.items():
-        if value is not None and not isinstance(value, dict):
-            yield f"{key} = {_toml_value(value)}\n"
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _toml_table(value, f"{name}.{key}" if name else key)
-
-
-def _toml_value(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda found: f"\\u{ord(found[0]):04x}", escaped) + '"'
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    raise TypeError(f"{type(value).__name__} has no place in a configuration")

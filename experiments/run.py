@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from evo.record import Record
     from experiments.config import Evolve, Sketch
 
-HELP = "an experiment from its TOML file: evolution, study or sketch"
+HELP = "an experiment from its TOML file: evolution, study, sketch or policy"
 
 RECORD, BEST = RUN_FILES["evolve"], "best"
 OPTIMISER = 0  # purpose of the optimiser's randomness; candidates have theirs
@@ -47,9 +47,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the experiment; status 1 if nothing that can be built came of it, 3 if it was interrupted."""
     from experiments.config import Evolve, Sketch, load_config
+    from experiments.policy_config import Policy
 
     config = load_config(args.config)
     folder = args.out or Path("runs") / args.config.stem
+    if isinstance(config, Policy):
+        from experiments.train import run_training
+
+        again = f"bodyplan run {args.config} --out {folder} --resume"
+        return run_training(config, folder, args.resume, args.workers, again, args.json)
     try:
         with terminable():
             if isinstance(config, Evolve):

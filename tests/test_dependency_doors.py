@@ -40,7 +40,14 @@ DOORS: dict[str, set[str]] = {
     "pandas": {"analysis/records.py"},
     "can": {"hardware/bus.py"},
     "serial": set(),
-    "msgspec": {"experiments/config.py", "experiments/decoder_config.py"},
+    "msgspec": {
+        "experiments/config.py",
+        "experiments/decoder_config.py",
+        "experiments/policy_config.py",
+        "experiments/toml_text.py",
+    },
+    "gymnasium": {"sim/gym_env.py"},
+    "stable_baselines3": {"sim/learning.py"},
     "tqdm": {"experiments/output.py"},
     "torch": {
         "decoder/examples.py",
@@ -52,6 +59,7 @@ DOORS: dict[str, set[str]] = {
         "decoder/training.py",
         "experiments/decoder_training.py",
         "experiments/doctor.py",
+        "sim/learning.py",
     },
     "safetensors": {"decoder/weights.py"},
     "tensorboardX": {"experiments/events.py"},

@@ -202,7 +202,7 @@ def test_a_thousand_million_bodies_are_refused_in_one_line(bodyplan, tmp_path, c
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("command", ["train", "studio"])
+@pytest.mark.parametrize("command", ["studio"])
 def test_a_command_to_come_is_told_from_a_mistyped_one(bodyplan, command):
     said = bodyplan(command, "robot", "--out", "x")
     assert said.status == 2

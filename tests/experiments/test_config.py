@@ -75,14 +75,14 @@ def evolve(**keys: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        ({}, 'kind is missing; add a line kind = "evolve" | "study" | "sketch"'),
-        ({"kind": "evlove"}, 'kind = "evlove"; it must be "evolve" | "study" | "sketch"; did you mean "evolve"?'),
-        ({"kind": 3}, 'kind = 3; it must be "evolve" | "study" | "sketch"'),
-        ({"kind": ["evolve"]}, 'kind = ["evolve"]; it must be "evolve" | "study" | "sketch"'),
+        ({}, 'kind is missing; add a line kind = "evolve" | "study" | "sketch" | "policy"'),
         (
-            {"kind": "policy"},
-            'kind = "policy"; it must be "evolve" | "study" | "sketch"; training a policy arrives in a later version',
+            {"kind": "evlove"},
+            'kind = "evlove"; it must be "evolve" | "study" | "sketch" | "policy"; did you mean "evolve"?',
         ),
+        ({"kind": 3}, 'kind = 3; it must be "evolve" | "study" | "sketch" | "policy"'),
+        ({"kind": ["evolve"]}, 'kind = ["evolve"]; it must be "evolve" | "study" | "sketch" | "policy"'),
+        ({"kind": "policy"}, "robot is missing; it must be a text that is not empty"),
         (
             evolve(decoder="gnome"),
             'decoder = "gnome"; it must be "vae" | "genome" | a file ending in .safetensors; did you mean "genome"?',

@@ -1,0 +1,256 @@
+"""The work behind `bodyplan train`: find a heading, learn chunk by chunk, keep the best, measure and write it down."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.events import Events, event_file
+from experiments.output import BadInput, progress, say
+from experiments.run_folder import CHECKPOINT, CONFIG, RESULT, check_folder, keep_config, write_json
+
+if TYPE_CHECKING:
+    from experiments.policy_config import Policy
+    from mfg.description import Description
+    from sim.model import Model
+    from sim.training import Chunk, Trainer
+
+Array = NDArray[np.float64]
+
+STATE = "training.npz"
+BLUEPRINT, EVENTS, VIDEO, STRIP = "blueprint", "events", "walk.mp4", "walk.png"
+GAIT, FINAL = 3, 4  # purposes of randomness beside those of `sim.training`
+EPISODE = 20.0  # of the closing measurement [s]
+RACE_TIMEOUT = 3600.0  # [s]
+
+
+class Impossible(ValueError):
+    """The robot cannot be trained; the message says why."""
+
+
+def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str, Any]:
+    """Train a policy into a folder that is locked; gives what `result.json` holds.
+
+    Raises:
+        BadInput: if the folder holds something else, or a training and `resume` is not set, or the robot is unusable.
+        Impossible: if the robot cannot be built, or its physics explodes.
+        OSError: if something cannot be read or written.
+    """
+    import json
+
+    from experiments.config import config_hash
+
+    check_folder(config, folder)
+    mark = folder / CHECKPOINT / STATE
+    if not resume and (mark.exists() or (folder / RESULT).exists()):
+        raise BadInput(f"{folder} holds a training already; go on with it by --resume, or choose another --out")
+    if (folder / "bundle.json").exists() and not (folder / CONFIG).exists():
+        raise BadInput(f"{folder} holds a policy bundle that was not trained there; choose another --out")
+    if (folder / RESULT).exists():
+        say(f"{folder} is finished; it is a bundle for `bodyplan simulate --policy` and `bodyplan deploy`")
+        return dict(json.loads((folder / RESULT).read_text(encoding="utf-8")))
+    description, source = _robot(Path(config.robot), folder)
+    model = _model(config, source)
+    keep_config(config, folder)
+    state = read_state(mark) if mark.exists() else None
+    heading = _heading(config, model, workers) if state is None else float(state["heading"])
+    trainer = _trainer(config, model, heading, workers, state, mark)
+    with event_file(folder / EVENTS, min(trainer.done * config.chunk, config.steps)) as events:
+        for _ in progress(_chunks(trainer, mark, heading, events), trainer.training.chunks - trainer.done, "training"):
+            pass
+    return _conclude(config, folder, source, description, model, trainer, heading, config_hash(config))
+
+
+def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
+    """The robot as described, and the folder of its model; a design is built first."""
+    from mfg.manifest import read_description
+
+    if path.suffix.lower() == ".xml":
+        path = path.parent
+    if not path.is_dir():
+        from experiments.build import catalogue_of, read_design
+        from mfg.description import describe
+        from mfg.export import write_blueprint
+        from mfg.pipeline import build
+
+        outcome = build(read_design(path), catalogue_of("paper"))
+        if not outcome.ok:
+            raise Impossible(f"{path} cannot be built: {outcome.failure}")
+        write_blueprint(outcome, folder / BLUEPRINT)
+        return describe(outcome.blueprint), folder / BLUEPRINT
+    if not (path / "robot.xml").exists():
+        raise BadInput(f"{path} has no robot.xml; give a blueprint folder (`bodyplan build` makes one) or a design")
+    return read_description(path), path
+
+
+def _model(config: Policy, source: Path) -> Model:
+    from sim.herd import with_latency_room
+    from sim.model import ModelError, load_spec
+    from sim.terrain import Kind, Terrain, lay
+
+    try:
+        spec = load_spec(source / "robot.xml")
+        lay(spec, Terrain(Kind(config.terrain), seed=config.seed))
+        return with_latency_room(spec)
+    except ModelError as error:
+        raise BadInput(str(error)) from None
+
+
+def _heading(config: Policy, model: Model, workers: int) -> float:
+    """Which direction of the body is trained to be forward."""
+    from evo.pool import Pool
+    from mfg.outcome import Failure
+    from sim.gaits import SCREENING, search_gait
+    from sim.rollout import Diverged
+    from sim.training import Race, headings
+
+    if config.task != "speed":
+        return 0.0
+    say("searching an open-loop gait, whose direction is the first candidate for being forward")
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(GAIT,)))
+    try:
+        first = search_gait(model, rng, SCREENING)
+    except Diverged as error:
+        raise Impossible(str(error)) from None
+    candidates = headings(first.heading, config.headings)
+    if len(candidates) == 1:
+        return candidates[0]
+    say(f"{len(candidates)} headings race for {config.race_steps} control periods each")
+    with Pool[float, float](Race(model, config.training(), config.race_steps), workers, RACE_TIMEOUT) as pool:
+        runs = progress(pool.run(candidates), len(candidates), "headings")
+        speeds = {heading: speed for heading, speed, _ in runs if not isinstance(speed, Failure)}
+    if not speeds:
+        raise Impossible(f"no heading of {config.robot} could be tried; see the messages above")
+    best = max(candidates, key=lambda heading: speeds.get(heading, -np.inf))
+    say("headings: " + ", ".join(f"{h:.2f} rad {speeds[h]:.2f} m/s" for h in candidates if h in speeds))
+    return best
+
+
+def _trainer(
+    config: Policy, model: Model, heading: float, workers: int, state: dict[str, Array] | None, mark: Path
+) -> Trainer:
+    from sim.training import Trainer
+
+    trainer = Trainer(model, config.training(heading), nthread=workers)
+    if state is not None:
+        try:
+            trainer.restore(state)
+        except (KeyError, ValueError) as error:
+            raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None
+    return trainer
+
+
+def _chunks(trainer: Trainer, mark: Path, heading: float, events: Events) -> Any:
+    """Advance to the last chunk; each is on the disk before it counts."""
+    while trainer.done < trainer.training.chunks:
+        chunk = trainer.advance()
+        write_state(mark, trainer.state() | {"heading": np.array(heading)})
+        events(chunk.steps, curves(chunk))
+        say(told(chunk))
+        yield chunk
+
+
+def curves(chunk: Chunk) -> dict[str, float]:
+    """What TensorBoard shows of a chunk."""
+    verdict = chunk.verdict
+    found = {f"reward/{name}": value for name, value in chunk.curves.items()}
+    return found | {
+        "speed/exploring": chunk.exploring_speed,
+        "speed/policy": verdict.speed,
+        "speed/randomised": verdict.robust_speed,
+        "episodes/falls": verdict.falls,
+        "episodes/lost": verdict.lost,
+        "cpu_seconds": chunk.seconds,
+    }
+
+
+def told(chunk: Chunk) -> str:
+    """A chunk in one line."""
+    v = chunk.verdict
+    return (f"{chunk.steps:>9} steps: {chunk.exploring_speed:.2f} m/s exploring; the policy itself {v.speed:.2f} m/s, "
+            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}")  # fmt: skip
+
+
+def write_state(path: Path, state: dict[str, Array]) -> None:
+    """Write named arrays into a file that is whole or not there; the same arrays give the same bytes."""
+    path.parent.mkdir(exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    # numpy's own archive would carry the time of day.
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(state):
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asarray(state[name]), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
+    os.replace(partial, path)
+
+
+def read_state(path: Path) -> dict[str, Array]:
+    """Read what `write_state` wrote.
+
+    Raises:
+        BadInput: if the file is damaged or foreign.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            state = {name: archive[name] for name in archive.files}
+    except (ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise BadInput(f"{path}: not a readable checkpoint ({error}); choose another --out") from None
+    broken = [name for name, value in state.items() if value.dtype != float and name != "done"]
+    if "heading" not in state or "done" not in state or broken:
+        raise BadInput(f"{path}: not a checkpoint of a training; choose another --out")
+    return state
+
+
+def _conclude(
+    config: Policy, folder: Path, source: Path, description: Description, model: Model, trainer: Trainer,
+    heading: float, digest: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Measure the best policy on the twin, write the bundle, the films and the result; the result comes last."""
+    from experiments.deploy import bundle_of
+    from hardware.bundle import save_bundle
+    from sim.behaviour import motor_limits, motor_uses, motor_warnings
+    from sim.closed_loop import roll_out_actor
+    from sim.rollout import measure
+    from sim.training import randomised
+    from sim.video import save_strip, save_video
+
+    actor, verdict = trainer.best, trainer.best_verdict
+    if actor is None or verdict is None:
+        raise Impossible(f"{config.robot}: no chunk of training was finished")
+    rollouts = roll_out_actor(model, actor, EPISODE)
+    behaviour = measure(model, rollouts)[0]
+    if behaviour is None:
+        raise Impossible(f"the physics of {config.robot} explodes under the trained policy")
+    save_bundle(folder, bundle_of(description, actor, config_hash=digest), source)
+    trials = randomised(model, actor, trainer.ranges, config.seed + FINAL, seconds=EPISODE, nthread=trainer.nthread)
+    alive = [trial for trial in trials if trial is not None]
+    uses = motor_uses(model, rollouts)
+    result = {
+        "kind": "policy",
+        "robot": config.robot,
+        "design": description.name,
+        "heading_rad": heading,
+        "steps": min(trainer.done * config.chunk, config.steps),
+        "best": asdict(verdict) | {"score": verdict.score},
+        "behaviour": behaviour.to_json() | {"steps_per_s": None},
+        "randomised": {
+            "episodes": len(trials),
+            "falls": len(trials) - sum(not trial.fell for trial in alive),
+            "mean_speed_m_s": float(np.mean([trial.speed for trial in alive])) if alive else 0.0,
+            "least_speed_m_s": min((trial.speed for trial in alive), default=0.0),
+        },
+        "motors": [use.to_json() for use in uses],
+        "warnings": list(motor_warnings(motor_limits(model), uses)),
+    }
+    save_strip(folder / STRIP, model, rollouts)
+    if config.film > 0:
+        save_video(folder / VIDEO, model, roll_out_actor(model, actor, config.film))
+    write_json(folder / RESULT, result)
+    return result

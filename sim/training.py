@@ -1,0 +1,256 @@
+"""Training as a sequence of chunks: each is fixed by the seed and its number, so a run resumes to the same bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.actor import Actor, Perceptron
+from sim.closed_loop import roll_out_actor
+from sim.environment import TEN_SECONDS, Environment, Episode, action_map
+from sim.learning import USUAL, Learner, Ppo
+from sim.model import Model
+from sim.randomisation import RANDOMISED, Randomisation, draw
+from sim.rollout import Behaviour, measure, settle
+from sim.tasks import FAST, SCALE, Task
+
+Array = NDArray[np.float64]
+
+LEARN, EVALUATE, RACE = 0, 1, 2  # purposes of randomness
+EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and their length [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """One training.
+
+    Attributes:
+        seed: of everything.
+        steps: control periods of all copies together.
+        chunk: so many between two evaluations.
+        ppo: the learner.
+        task: what is learned; its heading is replaced by the best found.
+        randomisation: what each episode draws; None trains on the model as it is.
+        episode: how episodes run.
+        last_spread: standard deviation of what the policy says at the end.
+    """
+
+    seed: int = 0
+    steps: int = 1_500_000
+    chunk: int = 100_000
+    ppo: Ppo = USUAL
+    task: Task = FAST
+    randomisation: Randomisation | None = RANDOMISED
+    episode: Episode = TEN_SECONDS
+    last_spread: float = 0.25
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        if self.steps < 1 or self.chunk < 1:
+            raise ValueError(f"training: steps {self.steps} and chunk {self.chunk} must be 1 or more")
+        if not 0.01 <= self.last_spread <= self.ppo.spread:
+            raise ValueError(f"training: last_spread is {self.last_spread}; it must lie in [0.01, {self.ppo.spread:g}]")
+
+    @property
+    def chunks(self) -> int:
+        """How many."""
+        return -(-self.steps // self.chunk)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What an evaluation found: the policy without exploration, as it is exported.
+
+    Attributes:
+        speed: on the model as it is [m/s].
+        robust_speed: mean over randomised episodes, of each the share that it was upright for [m/s].
+        falls: of the randomised episodes.
+        episodes: how many those are.
+        lost: episodes in which the physics exploded.
+    """
+
+    speed: float
+    robust_speed: float
+    falls: int
+    episodes: int
+    lost: int
+
+    @property
+    def score(self) -> float:
+        """What chooses the best so far [m/s]: the mean of both speeds, less what falls cost."""
+        return (self.speed + self.robust_speed) / 2 * (1.0 - self.falls / max(self.episodes, 1) / 2)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Chunk:
+    """What one chunk of training did.
+
+    Attributes:
+        index: from 0.
+        steps: control periods so far.
+        seconds: computing time of the learning in this chunk [s], all threads.
+        exploring_speed: mean speed along the heading while exploring [m/s].
+        curves: named numbers for a plot.
+        verdict: of the policy after it.
+    """
+
+    index: int
+    steps: int
+    seconds: float
+    exploring_speed: float
+    curves: Mapping[str, float]
+    verdict: Verdict
+
+
+class Trainer:
+    """One policy in the making; `advance` runs one chunk."""
+
+    def __init__(self, model: Model, training: Training, *, nthread: int = 1) -> None:
+        """Begin from nothing.
+
+        Args:
+            model: of the robot, made by `sim.herd.with_latency_room`.
+            training: what to do.
+            nthread: threads of the physics; it changes no result.
+        """
+        self.model, self.training, self.nthread = model, training, nthread
+        self.environment = Environment(
+            model,
+            training.ppo.copies,
+            training.task,
+            action_map(model),
+            training.randomisation,
+            training.episode,
+            nthread,
+        )
+        self.learner = Learner(self.environment, training.ppo, training.seed)
+        self.done = 0  # chunks
+        self.best: Perceptron | None = None
+        self.best_verdict: Verdict | None = None
+        self._start = settle(model)
+
+    @property
+    def ranges(self) -> Randomisation:
+        """What evaluation draws from, whether training does or not."""
+        return self.training.randomisation or RANDOMISED
+
+    def actor(self) -> Perceptron:
+        """The policy as it is now."""
+        return self.learner.exported()
+
+    def advance(self) -> Chunk:
+        """Run the next chunk and evaluate the policy after it."""
+        training, index = self.training, self.done
+        progress = index / training.chunks
+        # Explore widely first; a policy that leans on its own noise to move would stand still without it.
+        spread = training.ppo.spread * (training.last_spread / training.ppo.spread) ** min(1.0, progress / 0.6)
+        rate = training.ppo.learning_rate * (1.0 - 0.8 * progress)
+        rng = np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(LEARN, index)))
+        steps = min(training.chunk, training.steps - index * training.chunk)
+        curves, seconds = self.learner.learn(steps, rng, rate, spread)
+        self.done += 1
+        actor = self.actor()
+        verdict = evaluate(self.model, actor, training, self.nthread, self._start)
+        if self.best_verdict is None or verdict.score > self.best_verdict.score:
+            self.best, self.best_verdict = actor, verdict
+        done = min(self.done * training.chunk, training.steps)
+        return Chunk(index, done, seconds, curves.get("speed", 0.0) / SCALE / 2.0, curves, verdict)
+
+    def state(self) -> dict[str, Array]:
+        """All that a later process needs to go on, as named arrays."""
+        found = {f"learner/{name}": value for name, value in self.learner.state().items()}
+        found["done"] = np.array(self.done)
+        if self.best is not None and self.best_verdict is not None:
+            for index, (weight, bias) in enumerate(self.best.layers):
+                found[f"best/{index}/weight"], found[f"best/{index}/bias"] = weight, bias
+            v = self.best_verdict
+            found["verdict"] = np.array([v.speed, v.robust_speed, v.falls, v.episodes, v.lost])
+        return found
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Go on from what `state` gave.
+
+        Raises:
+            KeyError: an array is missing.
+            ValueError: an array has another shape, so it is of another robot or learner.
+        """
+        self.learner.restore({name[8:]: value for name, value in state.items() if name.startswith("learner/")})
+        self.done = int(state["done"])
+        if "verdict" in state:
+            actor = self.actor()
+            count = len(actor.layers)
+            layers = tuple((state[f"best/{k}/weight"], state[f"best/{k}/bias"]) for k in range(count))
+            self.best = replace(actor, layers=layers)
+            speed, robust, falls, episodes, lost = (float(v) for v in state["verdict"])
+            self.best_verdict = Verdict(speed, robust, int(falls), int(episodes), int(lost))
+
+
+def evaluate(model: Model, actor: Actor, training: Training, nthread: int = 1, start: Array | None = None) -> Verdict:
+    """Measure a policy without exploration: once on the model as it is, and in randomised episodes.
+
+    The draws are the same for every policy of a training, so that verdicts differ by the policy alone.
+    """
+    start = settle(model) if start is None else start
+    plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
+    behaviours = randomised(model, actor, training.randomisation or RANDOMISED, training.seed, start=start,
+                            nthread=nthread)  # fmt: skip
+    alive = [b for b in behaviours if b is not None]
+    return Verdict(
+        speed=0.0 if plain is None else plain.speed * plain.upright,
+        robust_speed=float(sum(b.speed * b.upright for b in alive)) / len(behaviours),
+        falls=sum(b.fell for b in alive), episodes=len(behaviours), lost=len(behaviours) - len(alive),
+    )  # fmt: skip
+
+
+def randomised(
+    model: Model, actor: Actor, ranges: Randomisation, seed: int, *, episodes: int = EPISODES,
+    seconds: float = EVALUATION_SECONDS, start: Array | None = None, nthread: int = 1,
+) -> list[Behaviour | None]:  # fmt: skip
+    """How a policy does in episodes that draw their robot, noise and pushes; None where the physics exploded."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EVALUATE,)))
+    draws = draw(ranges, rng, episodes, model.nu, model.nbody - 1)
+    rollouts = roll_out_actor(
+        model, actor, seconds, copies=episodes, draws=draws, rng=rng, start=start, nthread=nthread
+    )  # fmt: skip
+    return measure(model, rollouts)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Race:
+    """A short training along one heading, to compare it with others; it can be sent to another process.
+
+    Attributes:
+        model: of the robot.
+        training: of the whole, of which a race runs a little.
+        steps: control periods of one race.
+    """
+
+    model: Model
+    training: Training
+    steps: int
+
+    def __call__(self, heading: float) -> float:
+        """Mean speed while exploring, in the last third [m/s]."""
+        task = replace(self.training.task, heading=heading)
+        third = max(1, self.steps // 3)
+        training = replace(self.training, task=task, steps=self.steps, chunk=third)
+        environment = Environment(
+            self.model, training.ppo.copies, task, action_map(self.model), training.randomisation, training.episode
+        )
+        learner = Learner(environment, training.ppo, training.seed)
+        curves: Mapping[str, float] = {}
+        for index in range(3):
+            key = np.random.SeedSequence(training.seed, spawn_key=(RACE, index))
+            curves, _ = learner.learn(
+                third, np.random.default_rng(key), training.ppo.learning_rate, training.ppo.spread
+            )
+        return curves["speed"] / SCALE / 2.0
+
+
+def headings(first: float, count: int) -> tuple[float, ...]:
+    """Directions of the body spread evenly from a first one [rad], each within (-pi, pi]."""
+    spread = first + 2 * np.pi * np.arange(count) / count
+    return tuple(float(-((np.pi - angle) % (2 * np.pi) - np.pi)) for angle in spread)
