@@ -1,4 +1,4 @@
-"""The `best/` folder of a run: the winner's blueprint, its policy, pictures of it walking, and its dry run."""
+"""The `best/` folder of a run: the winner's blueprint, its policy, how it walks, and its dry run."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sim.actor import Policy
 
 BLUEPRINT, BUNDLE, VIDEO, STRIP, DRY_RUN = "blueprint", "bundle", "walk.mp4", "walk.png", "dry_run.json"
+PAGE = "behaviour.html"
 EPISODE = 10.0  # of walking, measured and on the bus [s]
 PICTURE = (1200, 900)  # [pixel]
 
@@ -45,7 +46,7 @@ class Lame:
 def write_best(
     folder: Path, outcome: Outcome, actor: Policy, config_hash: str, film: float, *, must_walk: bool
 ) -> Best | Lame:
-    """Write the blueprint of a design that was built, the policy bundle that drives it, its strip, video and dry run.
+    """Write the blueprint of a design that was built, the policy bundle that drives it, its pictures and dry run.
 
     It is measured on the exported model, so that what is reported is what was written. Its numbers are those of its
     description but for rounding, and a gait near the edge may fall on one and not on the other.
@@ -62,6 +63,7 @@ def write_best(
     Raises:
         OSError: if something cannot be written.
     """
+    from experiments.behaviour_page import write_behaviour_page
     from experiments.deploy import bundle_of, dry_run
     from hardware.bundle import save_bundle
     from mfg.description import describe
@@ -94,6 +96,8 @@ def write_best(
     save_strip(folder / STRIP, model, rollouts)
     if film > 0:
         save_video(folder / VIDEO, model, roll_out_policy(model, actor, film))
+    write_behaviour_page(folder / PAGE, model, rollouts, behaviour, title=f"How {twin.name} moves",
+                         film=folder / VIDEO if film > 0 else None)  # fmt: skip
     dry = dry_run(folder / BUNDLE, EPISODE)
     write_json(folder / DRY_RUN, dry)
     return Best(behaviour.to_json(), dry)

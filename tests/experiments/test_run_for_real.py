@@ -136,6 +136,7 @@ def test_a_run_leaves_what_the_contract_says(undisturbed: tuple[Path, dict[str, 
     assert list((folder / "best" / "blueprint" / "parts").glob("*.stl"))
     assert (folder / "best" / "bundle" / "bundle.json").is_file()
     assert (folder / "best" / "walk.png").read_bytes().startswith(b"\x89PNG")
+    assert "Motors" in (folder / "best" / "behaviour.html").read_text("utf-8")
     html = (folder / "report.html").read_text("utf-8")
     assert html.rstrip().endswith("</html>")
     assert result["winner"]["design"] in html
