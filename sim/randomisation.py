@@ -179,9 +179,12 @@ def apply(herd: Herd, ids: NDArray[np.intp], draws: Draws) -> None:
     if draws.voltage is not None:
         many.expand("actuator_gainprm")[ids, :, VOLTAGE] = gains[:, VOLTAGE] * draws.voltage[:, None]
     if draws.friction is not None:
-        many.expand("geom_friction")[ids, :, 0] = draws.friction[:, None]
+        # Of two things that touch the greater friction counts, so all get the same.
+        for field in ("geom_friction", "flex_friction")[: 2 if model.nflex else 1]:
+            many.expand(field)[ids, :, 0] = draws.friction[:, None]
     if draws.contact_time is not None:
-        many.expand("geom_solref")[ids, :, 0] = model.geom_solref[:, 0] * draws.contact_time[:, None]
+        for field in ("geom_solref", "flex_solref")[: 2 if model.nflex else 1]:
+            many.expand(field)[ids, :, 0] = getattr(model, field)[:, 0] * draws.contact_time[:, None]
     if draws.mass is not None:
         many.expand("body_mass")[ids, 1:] = model.body_mass[1:] * draws.mass
         many.expand("body_inertia")[ids, 1:] = model.body_inertia[1:] * draws.mass[..., None]

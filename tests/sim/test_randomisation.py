@@ -17,6 +17,7 @@ from sim.herd import Herd, with_latency_room
 from sim.model import DAMPING, FLOOR, STIFFNESS, VOLTAGE, Model, compile_model, make_spec
 from sim.randomisation import EXACT, RANDOMISED, Draws, Randomisation, apply, draw, nominal, push, pushed
 from sim.rollout import settle
+from sim.skin import Fidelity
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +132,19 @@ def test_motors_ground_and_latency_are_those_drawn(model: Model) -> None:
         for field in ("actuator_gainprm", "geom_friction", "geom_solref", "actuator_delay", "body_mass"):
             assert_allclose(getattr(ours, field), getattr(model, field), err_msg=field)
     assert_allclose(model.actuator_gainprm, plain)
+
+
+def test_skins_of_finite_elements_get_the_friction_that_was_drawn(quadruped: Description) -> None:
+    soft = tuple(replace(link, skin_thickness=0.02) for link in quadruped.links)
+    model = compile_model(replace(quadruped, links=soft), fidelity=Fidelity.FLEX)
+    assert model.nflex
+    herd = Herd(model, 2)
+    changes = {"friction": np.array([0.4, 1.2]), "contact_time": np.array([0.5, 1.5])}
+    apply(herd, np.arange(2), replace(nominal(2, 4), **changes))
+    for copy, friction, factor in ((0, 0.4, 0.5), (1, 1.2, 1.5)):
+        ours = herd.batch.get_model(copy)
+        assert_allclose([*ours.geom_friction[:, 0], *ours.flex_friction[:, 0]], friction)
+        assert_allclose(ours.flex_solref[:, 0], model.flex_solref[:, 0] * factor)
 
 
 def test_less_friction_slides_further(model: Model) -> None:
