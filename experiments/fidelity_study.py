@@ -39,7 +39,7 @@ DRAWS = 2000  # of the bootstrap over bodies
 RESULT, TABLE = "fidelity.json", "fidelity.md"
 WHAT = {
     "constant": "hull, one contact time of 20 ms",
-    "compliant": "hull, contact times fitted to the skin (default)",
+    "compliant": "hull, contact fitted to the skin (default)",
     "hull": "full hull, fitted contact, 1 ms",
     "sprung": "hull on three damped slides",
     "flex": "1 x 1 x 1 trilinear blocks at the ends of limbs",

@@ -69,7 +69,7 @@ def compile_model(
         timestep: of the physics [s]; the fidelity's own by default.
         fidelity: how the soft skin is modelled.
         self_collision: whether links may touch one another, see `sim.self_collision`.
-        contact_time: time constant of soft contacts [s], instead of those fitted to the skins.
+        contact_time: time constant of all soft contacts [s], instead of the parameters fitted to their skins.
 
     Raises:
         ValueError: if there is no joint, or a link's mass, inertia or hull is not that of a body, or links are to touch

@@ -1,7 +1,7 @@
 """The soft skin in the simulator: a ladder from compliant contact to finite elements, one stiffness on every rung.
 
-Pressed by the floor, the skin of a link is a spring of stiffness k (`sim.skin_law`). A contact gets it by its time
-constant, a pad by its springs, a block of finite elements by its modulus.
+Pressed by the floor, the skin of a link is a spring of stiffness k (`sim.skin_law`). A contact gets it by its
+parameters, a pad by its springs, a block of finite elements by its modulus.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sim.skin_law import (
     POISSON,
     Cover,
     cover_stiffness,
-    fitted_time,
+    fitted_solref,
     skin_mass,
 )
 
@@ -62,7 +62,7 @@ def apply(
         fidelity: how to model the skins.
         covers: of the links with a hull.
         material: of all skins.
-        contact_time: of soft contacts [s], instead of the time constants fitted to the skins.
+        contact_time: time constant of all soft contacts [s], instead of the parameters fitted to their skins.
 
     Raises:
         ValueError: if a block of finite elements cannot be built.
@@ -78,7 +78,8 @@ def apply(
             blocks.append(cover)
         else:
             felt = spec.geom(cover.name)
-            felt.solref, felt.solmix = (contact_time or fitted_time(cover, material), 1.0), MIXING
+            felt.solref = fitted_solref(cover, material) if contact_time is None else (contact_time, 1.0)
+            felt.solmix = MIXING
     if fidelity is Fidelity.SPRUNG or fidelity.cells:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     if blocks:

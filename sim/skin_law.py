@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from mfg.description import SkinMaterial
+from mfg.robot_files import CONTACT_TIME
 
 PATCH = 1.0e-3  # (assumed) area over which the floor presses a skin [m2]
 INFILL_FACTOR = 1.0  # C of Gibson and Ashby's law for open cells
@@ -85,11 +86,11 @@ def pad_stiffness(material: SkinMaterial, thickness: float, radius: float, patch
 
 
 def contact_time(stiffness: float, inverse_mass: float, contacts: float = CONTACTS) -> float:
-    """Time constant of contacts of a given stiffness [s], as MuJoCo's `solref` wants it at a damping ratio of 1.
+    """What makes contacts of a given stiffness in MuJoCo: time constant times damping ratio of their `solref` [s].
 
-    MuJoCo's contact is no spring of the material: at rest one of depth r bears f = r / (tau^2 (1 - d) W), with its
-    impedance d and the inverse mass W of the body (manual: Modeling, Solver parameters). So the same skin needs another
-    time constant on every link, tau = sqrt(n / ((1 - d) W k)).
+    MuJoCo's contact is no spring of the material: at rest one of depth r bears f = r / (T^2 (1 - d) W), with T that
+    product, its impedance d and the inverse mass W of the body (manual: Modeling, Solver parameters). So the same skin
+    needs another T on every link, T = sqrt(n / ((1 - d) W k)).
 
     Args:
         stiffness: k, of all contacts of the link together [N/m].
@@ -104,9 +105,15 @@ def cover_stiffness(cover: Cover, material: SkinMaterial) -> float:
     return pad_stiffness(material, cover.thickness, cover.radius)
 
 
-def fitted_time(cover: Cover, material: SkinMaterial) -> float:
-    """Time constant that gives the contact of a soft link the stiffness of its skin [s]."""
-    return max(FIRM_CONTACT_TIME, contact_time(cover_stiffness(cover, material), cover.inverse_mass))
+def fitted_solref(cover: Cover, material: SkinMaterial) -> tuple[float, float]:
+    """Time constant [s] and damping ratio that give the contact of a soft link the stiffness of its skin.
+
+    The time constant is that of friction, too, which a soft one lets creep; so softness beyond `CONTACT_TIME` comes
+    from the damping ratio.
+    """
+    product = max(FIRM_CONTACT_TIME, contact_time(cover_stiffness(cover, material), cover.inverse_mass))
+    time = min(product, CONTACT_TIME)
+    return time, product / time
 
 
 def skin_mass(cover: Cover, material: SkinMaterial) -> float:
