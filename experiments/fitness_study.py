@@ -1,0 +1,203 @@
+"""How well cheap fitness ranks bodies: the ladder from random gaits to a long training, on the same random bodies.
+
+    python -m experiments.fitness_study -n 30 --seed 0 --out DIR
+
+Every body is measured on each rung as a virtual robot, then its last policy is let loose on its twin, unchanged. A body
+is one line of DIR/bodies.jsonl, written when it is done, so that the study may be stopped and goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.output import DONE, make_folder, progress, say
+from experiments.run_folder import cores
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sim.model import Model
+    from sim.rollout import Behaviour
+
+GAITS, GAIT_SECONDS = 24, 6.0  # of the first rung
+HEADINGS, RACE_STEPS = 4, 50_000
+CHECKPOINTS = 10  # evaluations of the long training
+BODY_TIMEOUT = 7200.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """Measure one body on every rung; the answer depends on the body and these fields alone.
+
+    Attributes:
+        seed: of everything but the body.
+        steps: of the long training.
+        decoder: that made the latents' bodies.
+    """
+
+    seed: int
+    steps: int
+    decoder: str
+
+    def __call__(self, latent: np.ndarray) -> dict[str, Any] | None:
+        """None for a body that cannot be built."""
+        import numpy as np
+
+        from decoder.latent import make_decoder
+        from mfg import pipeline
+        from mfg.description import describe
+        from sim.gaits import SCREENING, THOROUGH, search_gait
+        from sim.herd import with_latency_room
+        from sim.model import body_length, make_spec
+        from sim.training import Race, Trainer, Training, headings
+
+        design = make_decoder(self.decoder).decode(latent[None])[0]
+        built = pipeline.build(design)
+        bare = pipeline.virtual(design)
+        if not built.ok or not bare.ok:
+            return None
+        virtual = describe(bare.blueprint)
+        model = with_latency_room(make_spec(virtual))
+        twin = with_latency_room(make_spec(describe(built.blueprint)))
+        row: dict[str, Any] = {
+            "design": design.key, "joints": model.nu, "mass_kg": virtual.mass, "body_length_m": body_length(model),
+        }  # fmt: skip
+        clock = time.process_time()
+
+        def lap(name: str) -> None:
+            nonlocal clock
+            row[f"cpu_{name}"] = time.process_time() - clock
+            clock = time.process_time()
+
+        rng = np.random.default_rng(self.seed)
+        row["random"] = random_gaits(model, rng)
+        lap("random")
+        for name, budget in (("screening", SCREENING), ("thorough", THOROUGH)):
+            found = search_gait(model, np.random.default_rng(self.seed), budget)
+            row[name] = {"score": found.score, "speed": found.speed, "heading": found.heading}
+            lap(name)
+        training = Training(self.seed, self.steps, -(-self.steps // CHECKPOINTS))
+        race = Race(model, training, RACE_STEPS)
+        row["race"] = {heading: race(heading) for heading in headings(row["thorough"]["heading"], HEADINGS)}
+        lap("race")
+        best = max(row["race"], key=row["race"].__getitem__)
+        trainer = Trainer(model, replace(training, task=replace(training.task, heading=best)))
+        row["training"] = []
+        while trainer.done < training.chunks:
+            chunk = trainer.advance()
+            v = chunk.verdict
+            row["training"].append({"steps": chunk.steps, "cpu": chunk.seconds, "exploring": chunk.exploring_speed,
+                                    "speed": v.speed, "robust": v.robust_speed, "falls": v.falls})  # fmt: skip
+        lap("training")
+        assert trainer.best is not None
+        row["virtual"], row["twin"] = (episode(robot, trainer.best) for robot in (model, twin))
+        row["twin_ranges_differ"] = not np.allclose(model.jnt_range, twin.jnt_range, atol=1e-3)
+        row["twin_mass_kg"] = float(twin.body_subtreemass[1])
+        row["twin_hull_shift_m"] = abs(body_length(model) - body_length(twin))
+        return row
+
+
+def random_gaits(model: Model, rng: np.random.Generator) -> list[dict[str, float]]:
+    """What random gaits do; nothing where the physics exploded."""
+    from sim.gaits import decode, random_points
+    from sim.model import drive_of
+    from sim.rollout import measure, roll_out
+
+    drive = drive_of(model)
+    gaits = [decode(drive, point) for point in random_points(drive, GAITS, rng)]
+    return [_numbers(b) for b in measure(model, roll_out(model, gaits, GAIT_SECONDS)) if b is not None]
+
+
+def episode(model: Model, actor: Any) -> dict[str, float] | None:
+    """What a policy does in 10 s on a model as it is; None if its physics explodes."""
+    from sim.closed_loop import roll_out_actor
+    from sim.rollout import measure
+
+    behaviour = measure(model, roll_out_actor(model, actor, 10.0))[0]
+    return None if behaviour is None else _numbers(behaviour)
+
+
+def _numbers(behaviour: Behaviour) -> dict[str, float]:
+    return {"speed": behaviour.speed, "distance": behaviour.distance, "upright": behaviour.upright,
+            "seconds": behaviour.seconds, "overload": behaviour.overload}  # fmt: skip
+
+
+def main() -> int:
+    """Run the study as far as it is not done, then tell what it says."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.fitness_study", description=__doc__)
+    parser.add_argument("-n", type=int, default=30, help="bodies that can be built (30)")
+    parser.add_argument("--seed", type=int, default=0, help="of the bodies and of everything else (0)")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="of the long training (2000000)")
+    parser.add_argument("--decoder", default="vae")
+    parser.add_argument("--workers", type=int, default=cores(), help="processes (one per core)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    args = parser.parse_args()
+    from experiments.fitness_table import write_tables
+
+    run(args.n, args.seed, args.steps, args.decoder, args.workers, make_folder(args.out))
+    print(write_tables(args.out))
+    return DONE
+
+
+def run(n: int, seed: int, steps: int, decoder: str, workers: int, folder: Path) -> None:
+    """Measure the first n bodies of the prior that can be built, those of them that are not measured yet."""
+    import numpy as np
+
+    from decoder.latent import sample_latents
+    from evo.pool import Pool
+    from mfg.outcome import Failure
+
+    path = folder / "bodies.jsonl"
+    done = {row["design"] for row in read_rows(path)}
+    latents = sample_latents(20 * n, np.random.default_rng(seed))
+    chosen: list[tuple[str, Any]] = []
+    with Pool[Any, Any](Passes(decoder), workers, BODY_TIMEOUT) as pool:
+        keys: dict[bytes, str | None] = {}
+        for latent, key, _ in progress(pool.run(latents[: 6 * n]), 6 * n, "scoring"):
+            keys[latent.tobytes()] = None if isinstance(key, Failure) else key
+    chosen = [(key, latent) for latent in latents[: 6 * n] if (key := keys[latent.tobytes()]) is not None][:n]
+    todo = [latent for key, latent in chosen if key not in done]
+    with Pool[Any, Any](Ladder(seed, steps, decoder), workers, BODY_TIMEOUT) as pool, path.open("a") as file:
+        for _, row, seconds in progress(pool.run(todo), len(todo), "bodies"):
+            if isinstance(row, Failure) or row is None:
+                say(f"a body is lost: {row}")
+                continue
+            file.write(json.dumps(row | {"seconds": seconds}) + "\n")
+            file.flush()
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """The key of a latent's body if it can be built, else None."""
+
+    decoder: str
+
+    def __call__(self, latent: np.ndarray) -> str | None:
+        """Decode and build: what passes on fields may, rarely, fail on exact solids."""
+        from decoder.latent import make_decoder
+        from mfg import pipeline
+
+        design = make_decoder(self.decoder).decode(latent[None])[0]
+        return design.key if pipeline.score(design).ok and pipeline.build(design).ok else None
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """The lines that are whole."""
+    if not path.exists():
+        return []
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            continue  # the last line of a study that was killed while it wrote
+    return rows
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
