@@ -3,7 +3,7 @@
     python -m experiments.fidelity_study -n 10 --seed 0 --out runs/fidelity
 
 Random bodies of the decoder that pass `bodyplan score` walk by the same random open-loop gaits at every fidelity. All
-levels start from the pose in which the default model lies still. The reference is flex-fine. Contact makes walking
+levels start from the pose in which the fitted model lies still. The reference is flex-fine. Contact makes walking
 chaotic, so every level is run a second time from a start that is a micrometre higher: how well a level agrees with
 itself is the most that it can agree with another.
 """
@@ -32,14 +32,21 @@ if TYPE_CHECKING:
     from mfg.blueprint import Blueprint
     from sim.model import Model
 
-LEVELS = ("constant", "compliant", "hull", "sprung", "flex", "flex-fine")  # the first is compliant with one contact
+LEVELS = (
+    "constant",
+    "compliant",
+    "hull",
+    "sprung",
+    "flex",
+    "flex-fine",
+)  # the first is the default, `compliant` with one contact
 REFERENCE = LEVELS[-1]
 SHIFT = 1e-6  # of the second start [m]
 DRAWS = 2000  # of the bootstrap over bodies
 RESULT, TABLE = "fidelity.json", "fidelity.md"
 WHAT = {
-    "constant": "hull, one contact time of 20 ms",
-    "compliant": "hull, contact fitted to the skin (default)",
+    "constant": "hull, one contact time of 20 ms (default)",
+    "compliant": "hull, contact fitted to the skin",
     "hull": "full hull, fitted contact, 1 ms",
     "sprung": "hull on three damped slides",
     "flex": "1 x 1 x 1 trilinear blocks at the ends of limbs",

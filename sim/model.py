@@ -56,7 +56,7 @@ class Drive:
 
 def compile_model(
     description: Description, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
-    self_collision: bool = False, contact_time: float | None = None,
+    self_collision: bool = False, contact_time: float | None = CONTACT_TIME,
 ) -> Model:  # fmt: skip
     """Build the model of a robot on a floor: x forward, y left, z up, the root above the origin.
 
@@ -69,7 +69,7 @@ def compile_model(
         timestep: of the physics [s]; the fidelity's own by default.
         fidelity: how the soft skin is modelled.
         self_collision: whether links may touch one another, see `sim.self_collision`.
-        contact_time: time constant of all soft contacts [s], instead of the parameters fitted to their skins.
+        contact_time: time constant of soft contacts [s]; None fits each to its skin (docs/fidelity.md).
 
     Raises:
         ValueError: if there is no joint, or a link's mass, inertia or hull is not that of a body, or links are to touch
@@ -83,7 +83,7 @@ def compile_model(
 
 def make_spec(
     description: Description, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
-    self_collision: bool = False, contact_time: float | None = None,
+    self_collision: bool = False, contact_time: float | None = CONTACT_TIME,
 ) -> mujoco.MjSpec:  # fmt: skip
     """The specification behind `compile_model`, which can still be edited."""
     if not description.joints:
@@ -135,7 +135,7 @@ def make_spec(
 
 def load_model(
     path: Path | str, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
-    self_collision: bool = False, contact_time: float | None = None,
+    self_collision: bool = False, contact_time: float | None = CONTACT_TIME,
 ) -> Model:  # fmt: skip
     """Read a robot from an MJCF file into the same world as `compile_model`: floor, contact law, skin and integrator.
 
@@ -154,7 +154,7 @@ def load_model(
 
 def load_spec(
     path: Path | str, *, timestep: float | None = None, fidelity: Fidelity = Fidelity.COMPLIANT,
-    self_collision: bool = False, contact_time: float | None = None,
+    self_collision: bool = False, contact_time: float | None = CONTACT_TIME,
 ) -> mujoco.MjSpec:  # fmt: skip
     """Read an MJCF file as a specification that can still be edited; see `load_model`.
 

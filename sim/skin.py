@@ -62,7 +62,7 @@ def apply(
         fidelity: how to model the skins.
         covers: of the links with a hull.
         material: of all skins.
-        contact_time: time constant of all soft contacts [s], instead of the parameters fitted to their skins.
+        contact_time: time constant of soft contacts [s]; None fits each to its skin, as beside blocks always.
 
     Raises:
         ValueError: if a block of finite elements cannot be built.
@@ -78,7 +78,8 @@ def apply(
             blocks.append(cover)
         else:
             felt = spec.geom(cover.name)
-            felt.solref = fitted_solref(cover, material) if contact_time is None else (contact_time, 1.0)
+            fitted = contact_time is None or fidelity.cells > 0
+            felt.solref = fitted_solref(cover, material) if fitted else (contact_time, 1.0)
             felt.solmix = MIXING
     if fidelity is Fidelity.SPRUNG or fidelity.cells:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
