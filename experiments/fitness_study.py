@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sim.rollout import Behaviour
 
 GAITS, GAIT_SECONDS = 24, 6.0  # of the first rung
-HEADINGS, RACE_STEPS = 4, 50_000
+STARTS, RACE_STEPS = 4, 60_000
 CHECKPOINTS = 10  # evaluations of the long training
 BODY_TIMEOUT = 7200.0  # [s]
 
@@ -54,7 +54,7 @@ class Ladder:
         from sim.gaits import SCREENING, THOROUGH, search_gait
         from sim.herd import with_latency_room
         from sim.model import body_length, make_spec
-        from sim.training import Race, Trainer, Training, headings
+        from sim.training import Race, Trainer, Training, starts
 
         design = make_decoder(self.decoder).decode(latent[None])[0]
         built = pipeline.build(design)
@@ -82,11 +82,10 @@ class Ladder:
             row[name] = {"score": found.score, "speed": found.speed, "heading": found.heading}
             lap(name)
         training = Training(self.seed, self.steps, -(-self.steps // CHECKPOINTS))
-        race = Race(model, training, RACE_STEPS)
-        row["race"] = {heading: race(heading) for heading in headings(row["thorough"]["heading"], HEADINGS)}
+        race, candidates = Race(model, training, RACE_STEPS), starts(found.gait, found.heading, STARTS)
+        row["race"] = [race(start) for start in candidates]
         lap("race")
-        best = max(row["race"], key=row["race"].__getitem__)
-        trainer = Trainer(model, replace(training, task=replace(training.task, heading=best)))
+        trainer = Trainer(model, training, candidates[int(np.argmax(row["race"]))])
         row["training"] = []
         while trainer.done < training.chunks:
             chunk = trainer.advance()

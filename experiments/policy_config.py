@@ -9,7 +9,6 @@ from msgspec import Meta, Struct
 from experiments.output import SEED_BOUND
 
 if TYPE_CHECKING:
-    from sim.tasks import Task
     from sim.training import Training
 
 
@@ -21,7 +20,8 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         robot: a blueprint folder, its robot.xml, or a design; relative to a configuration file that names it.
         seed: of everything random.
         steps: control periods, all copies together.
-        headings: directions of the body that race for being forward; 1 takes that of the open-loop gait.
+        starts: what races: the open-loop gait, corrected by the policy, and free policies along headings of the body;
+            1 takes the corrected gait.
         race_steps: control periods of each of them.
         chunk: control periods between two evaluations and checkpoints.
         copies: robots that gather experience together.
@@ -37,33 +37,29 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
     steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_500_000
-    headings: Annotated[int, Meta(ge=1, le=16)] = 4
+    starts: Annotated[int, Meta(ge=1, le=16)] = 4
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 90_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    target_speed: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.8
+    target_speed: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
     terrain: Literal["flat", "rough", "potholes", "slope", "steps"] = "flat"
     film: Annotated[float, Meta(ge=0.0, le=100.0)] = 10.0
 
-    def goal(self, heading: float = 0.0) -> Task:
-        """The task along a heading [rad]."""
-        from sim.tasks import Goal, Task
-
-        return Task(Goal(self.task), heading, self.target_speed)
-
-    def training(self, heading: float = 0.0) -> Training:
+    def training(self) -> Training:
         """As the trainer wants it."""
         from dataclasses import replace
 
         from sim.environment import TEN_SECONDS
         from sim.learning import USUAL
         from sim.randomisation import RANDOMISED
+        from sim.tasks import Goal, Task
         from sim.training import Training
 
+        task = Task(Goal(self.task), target_speed=self.target_speed)
         return Training(
-            self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), self.goal(heading),
+            self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
             RANDOMISED if self.randomise else None, replace(TEN_SECONDS, history=self.history),
         )  # fmt: skip

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from experiments.policy_config import Policy
     from mfg.description import Description
     from sim.model import Model
-    from sim.training import Chunk, Trainer
+    from sim.training import Chunk, Start, Trainer
 
 Array = NDArray[np.float64]
 
@@ -46,6 +46,7 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     import json
 
     from experiments.config import config_hash
+    from sim.training import Trainer
 
     check_folder(config, folder)
     mark = folder / CHECKPOINT / STATE
@@ -59,13 +60,14 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     description, source = _robot(Path(config.robot), folder)
     model = _model(config, source)
     keep_config(config, folder)
-    state = read_state(mark) if mark.exists() else None
-    heading = _heading(config, model, workers) if state is None else float(state["heading"])
-    trainer = _trainer(config, model, heading, workers, state, mark)
+    if mark.exists():
+        trainer = _restored(config, model, workers, mark)
+    else:
+        trainer = Trainer(model, config.training(), _start(config, model, workers), nthread=workers)
     with event_file(folder / EVENTS, min(trainer.done * config.chunk, config.steps)) as events:
-        for _ in progress(_chunks(trainer, mark, heading, events), trainer.training.chunks - trainer.done, "training"):
+        for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
             pass
-    return _conclude(config, folder, source, description, model, trainer, heading, config_hash(config))
+    return _conclude(config, folder, source, description, model, trainer, config_hash(config))
 
 
 def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
@@ -103,55 +105,58 @@ def _model(config: Policy, source: Path) -> Model:
         raise BadInput(str(error)) from None
 
 
-def _heading(config: Policy, model: Model, workers: int) -> float:
-    """Which direction of the body is trained to be forward."""
+def _start(config: Policy, model: Model, workers: int) -> Start:
+    """Which way is forward, and whether a gait is corrected: what learns fastest in a short race."""
     from evo.pool import Pool
     from mfg.outcome import Failure
+    from sim.closed_loop import default_pose
     from sim.gaits import SCREENING, search_gait
     from sim.rollout import Diverged
-    from sim.training import Race, headings
+    from sim.training import Race, Start, starts
 
     if config.task != "speed":
-        return 0.0
+        return Start(0.0, default_pose(model))
     say("searching an open-loop gait, whose direction is the first candidate for being forward")
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(GAIT,)))
     try:
         first = search_gait(model, rng, SCREENING)
     except Diverged as error:
         raise Impossible(str(error)) from None
-    candidates = headings(first.heading, config.headings)
+    candidates = starts(first.gait, first.heading, config.starts)
     if len(candidates) == 1:
         return candidates[0]
-    say(f"{len(candidates)} headings race for {config.race_steps} control periods each")
-    with Pool[float, float](Race(model, config.training(), config.race_steps), workers, RACE_TIMEOUT) as pool:
-        runs = progress(pool.run(candidates), len(candidates), "headings")
-        speeds = {heading: speed for heading, speed, _ in runs if not isinstance(speed, Failure)}
+    say(f"{len(candidates)} starts race for {config.race_steps} control periods each")
+    speeds: dict[int, float] = {}
+    places = {id(candidate): place for place, candidate in enumerate(candidates)}
+    with Pool[Start, float](Race(model, config.training(), config.race_steps), workers, RACE_TIMEOUT) as pool:
+        for candidate, speed, _ in progress(pool.run(candidates), len(candidates), "starts"):
+            if not isinstance(speed, Failure):
+                speeds[places[id(candidate)]] = speed
     if not speeds:
-        raise Impossible(f"no heading of {config.robot} could be tried; see the messages above")
-    best = max(candidates, key=lambda heading: speeds.get(heading, -np.inf))
-    say("headings: " + ", ".join(f"{h:.2f} rad {speeds[h]:.2f} m/s" for h in candidates if h in speeds))
-    return best
+        raise Impossible(f"no start of {config.robot} could be tried")
+    for place in sorted(speeds):
+        kind = "free" if candidates[place].rhythm is None else "gait corrected"
+        say(f"  {kind}, heading {candidates[place].heading:.2f} rad: {speeds[place]:.2f} m/s")
+    return candidates[max(sorted(speeds), key=speeds.__getitem__)]
 
 
-def _trainer(
-    config: Policy, model: Model, heading: float, workers: int, state: dict[str, Array] | None, mark: Path
-) -> Trainer:
-    from sim.training import Trainer
+def _restored(config: Policy, model: Model, workers: int, mark: Path) -> Trainer:
+    from sim.training import Trainer, start_of
 
-    trainer = Trainer(model, config.training(heading), nthread=workers)
-    if state is not None:
-        try:
-            trainer.restore(state)
-        except (KeyError, ValueError) as error:
-            raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None
+    state = read_state(mark)
+    try:
+        trainer = Trainer(model, config.training(), start_of(state), nthread=workers)
+        trainer.restore(state)
+    except (KeyError, ValueError) as error:
+        raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None
     return trainer
 
 
-def _chunks(trainer: Trainer, mark: Path, heading: float, events: Events) -> Any:
+def _chunks(trainer: Trainer, mark: Path, events: Events) -> Any:
     """Advance to the last chunk; each is on the disk before it counts."""
     while trainer.done < trainer.training.chunks:
         chunk = trainer.advance()
-        write_state(mark, trainer.state() | {"heading": np.array(heading)})
+        write_state(mark, trainer.state())
         events(chunk.steps, curves(chunk))
         say(told(chunk))
         yield chunk
@@ -210,7 +215,7 @@ def read_state(path: Path) -> dict[str, Array]:
 
 def _conclude(
     config: Policy, folder: Path, source: Path, description: Description, model: Model, trainer: Trainer,
-    heading: float, digest: str,
+    digest: str,
 ) -> dict[str, Any]:  # fmt: skip
     """Measure the best policy on the twin, write the bundle, the films and the result; the result comes last."""
     from experiments.deploy import bundle_of
@@ -236,7 +241,8 @@ def _conclude(
         "kind": "policy",
         "robot": config.robot,
         "design": description.name,
-        "heading_rad": heading,
+        "heading_rad": trainer.start.heading,
+        "rhythm": trainer.start.rhythm is not None,
         "steps": min(trainer.done * config.chunk, config.steps),
         "best": asdict(verdict) | {"score": verdict.score},
         "behaviour": behaviour.to_json() | {"steps_per_s": None},

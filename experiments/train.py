@@ -17,8 +17,9 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
-the robot that is built. "Forward" is not defined for a free-form body: several directions race first, and the best
-of them is trained on. The best policy so far, judged without exploration in fixed randomised episodes, is kept.
+the robot that is built. "Forward" is not defined for a free-form body: several starts race first, an open-loop gait
+that the policy corrects and free policies along several directions, and the best of them is trained on. The best
+policy so far, judged without exploration in fixed randomised episodes, is kept.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
@@ -38,7 +39,7 @@ exit status: 0 trained, 1 the design cannot be built or its physics explodes, 2 
 to the last chunk is saved, and the command that goes on is printed.
 """
 
-FLAGS = ("steps", "headings", "seed", "task", "target_speed", "history", "terrain", "film")
+FLAGS = ("steps", "starts", "seed", "task", "target_speed", "history", "terrain", "film")
 TASKS = ("speed", "command", "stand", "recover")
 TERRAINS = ("flat", "rough", "potholes", "slope", "steps")
 
@@ -50,10 +51,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--steps", type=int, help="control periods of experience (1500000)")
-    parser.add_argument("--headings", type=int, help="directions that race for being forward (4)")
+    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
-    parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.8 m/s)")
+    parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.5 m/s)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")
     parser.add_argument("--no-randomise", action="store_true", help="train on the twin exactly as it is")

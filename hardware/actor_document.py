@@ -15,7 +15,7 @@ MOST_HISTORY = 64  # frames
 _GAIT_FIELDS = ("kind", "frequency", "amplitude", "phase", "offset")
 _MAP_VECTORS = ("centre", "scale", "low", "high")
 _MAP_FIELDS = (*_MAP_VECTORS, "blend", "step")
-_PERCEPTRON_FIELDS = ("kind", "history", "command", "input_centre", "input_gain", "layers", "actions")
+_PERCEPTRON_FIELDS = ("kind", "history", "command", "rhythm", "input_centre", "input_gain", "layers", "actions")
 _LAYER_FIELDS = ("weight", "bias")
 
 
@@ -63,6 +63,7 @@ def _perceptron_document(policy: Perceptron) -> dict[str, Any]:
         "kind": "perceptron",
         "history": policy.history,
         "command": list(policy.command),
+        "rhythm": None if policy.rhythm is None else _gait_document(policy.rhythm),
         "input_centre": policy.input_centre.tolist(),
         "input_gain": policy.input_gain.tolist(),
         "layers": [{"weight": W.tolist(), "bias": b.tolist()} for W, b in policy.layers],
@@ -92,6 +93,9 @@ def _perceptron(document: Any, num_joints: int) -> Perceptron:
                        array(f"actor: layer {index}: bias", fields["bias"], 1)))  # fmt: skip
     try:
         joints = ActionMap(**vectors, blend=blend, step=step)
-        return Perceptron(tuple(layers), **inputs, actions=joints, history=history, command=command)
+        return Perceptron(
+            tuple(layers), **inputs, actions=joints, history=history, command=command,
+            rhythm=None if entry["rhythm"] is None else _gait(entry["rhythm"], num_joints),
+        )  # fmt: skip
     except ValueError as error:
         raise BundleError(f"actor: {error}") from None

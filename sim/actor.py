@@ -99,6 +99,8 @@ class Gait:
 class Perceptron:
     """A learned policy, said = W_k f(... f(W_1 (o - c) g + b_1) ...) + b_k with f = tanh, then `actions`.
 
+    With a rhythm the policy corrects an open-loop gait: the gait's targets stand for the centre of its actions.
+
     Attributes:
         layers: weight (inputs, outputs) and bias (outputs,) of each layer, the last one linear.
         input_centre: c, (layout.size,).
@@ -106,6 +108,7 @@ class Perceptron:
         actions: from what the last layer says to joint targets.
         history: frames that it sees.
         command: velocity command it was told to follow, (3,) or empty where it takes none.
+        rhythm: gait that it corrects; None where the policy alone makes the movement.
 
     Raises:
         ValueError: Sizes disagree with each other or with the observation, or a number is not finite.
@@ -117,6 +120,7 @@ class Perceptron:
     actions: ActionMap
     history: int = 1
     command: tuple[float, ...] = ()
+    rhythm: Gait | None = None
 
     def __post_init__(self) -> None:
         size = self.layout.size
@@ -130,6 +134,8 @@ class Perceptron:
             object.__setattr__(self, name, value)
         if len(self.command) not in (0, COMMAND_SIZE) or not all(math.isfinite(v) for v in self.command):
             raise ValueError(f"A perceptron's command is none or {COMMAND_SIZE} finite numbers, got {self.command}.")
+        if self.rhythm is not None and self.rhythm.num_joints != self.num_joints:
+            raise ValueError(f"The rhythm drives {self.rhythm.num_joints} joints, the policy {self.num_joints}.")
         layers = []
         for index, (weight, bias) in enumerate(self.layers):
             W, b = np.array(weight, dtype=np.float64), np.array(bias, dtype=np.float64)
@@ -170,9 +176,10 @@ class Perceptron:
             W, b = self.layers[-1]
             return np.asarray(x @ W + b)[..., 0, :]
 
-    def act(self, time: float, observation: Array) -> Array:  # noqa: ARG002 - the state says enough.
+    def act(self, time: float, observation: Array) -> Array:
         """Give the joint targets (..., n) [rad]; they start from the previous ones, which are in the observation."""
-        return self.actions.targets(self.say(observation), observation[..., self.layout.action])
+        centre = None if self.rhythm is None else self.rhythm.targets(time)
+        return self.actions.targets(self.say(observation), observation[..., self.layout.action], centre)
 
     def arranged(self, order: Sequence[int]) -> Perceptron:
         """The same policy for joints in another order: its joint k is joint `order[k]` of this one."""
@@ -188,6 +195,7 @@ class Perceptron:
         return replace(
             self, layers=tuple(layers), input_centre=self.input_centre[seen], input_gain=self.input_gain[seen],
             actions=self.actions.arranged(joints),
+            rhythm=None if self.rhythm is None else self.rhythm.arranged(order),
         )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.actor import smooth_step
+from sim.actor import Gait, smooth_step
 from sim.closed_loop import Senses, default_pose
 from sim.herd import Herd
 from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, drive_of
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 MARGIN = 0.05  # share of a joint's range that is kept free at each end: slamming into a stop breaks prints
-REACH = 0.45  # farthest that an action of 1 goes from the centre [rad]; wider, first attempts are falls
+REACH = 0.6  # farthest that an action of 1 goes from the centre [rad]
 BLEND = 0.6  # share of the way to a new target that is gone in one control period
 STEP_SHARE = 0.9  # of what a motor can turn in a period: the robot's guard stops at 1
 MOST_EXPLOSIONS = 16  # states that are kept for a look
@@ -115,6 +115,7 @@ class Environment:
         actions: from what a policy says to joint targets.
         randomisation: what each episode draws; None for the model as it is.
         episode: how long, and how they start.
+        rhythm: gait that the policy corrects, from the start of each episode; None for none.
         nthread: threads of the physics; it changes no result.
         explosions: the first states that were lost.
         lost: how many copies were lost in all.
@@ -126,6 +127,7 @@ class Environment:
     actions: ActionMap | None = None
     randomisation: Randomisation | None = None
     episode: Episode = TEN_SECONDS
+    rhythm: Gait | None = None
     nthread: int = 1
     explosions: list[Explosion] = field(default_factory=list)
     lost: int = 0
@@ -204,8 +206,10 @@ class Environment:
 
     def _targets(self, said: Array) -> Array:
         """Joint targets; the policy takes over from the pose at rest as on the robot."""
-        wanted = self.map.targets(said, self._senses.previous)
-        fade = smooth_step((self._age - self._born) * self.herd.period / LEAD_IN)[:, None]
+        time = (self._age - self._born) * self.herd.period
+        centre = None if self.rhythm is None else self.rhythm.targets(time)
+        wanted = self.map.targets(said, self._senses.previous, centre)
+        fade = smooth_step(time / LEAD_IN)[:, None]
         self._senses.previous = self._default + fade * (wanted - self._default)
         return self._senses.previous
 

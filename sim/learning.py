@@ -18,7 +18,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from sim.actor import Perceptron
 from sim.environment import Environment
 from sim.gym_env import spaces_of
-from sim.imitation import Lesson
 from sim.observation import normaliser
 
 Array = NDArray[np.float64]
@@ -183,26 +182,6 @@ class Learner:
         seconds = time.process_time() - before
         return vector.curves() | {"spread": spread, "learning_rate": learning_rate}, seconds
 
-    def teach(self, seen: Array, taught: Array, rng: np.random.Generator, lesson: Lesson) -> float:
-        """Fit the actor to what should be said (m, n) on observations (m, size); gives the last mean square error."""
-        policy = self.ppo.policy
-        actor = torch.nn.Sequential(policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net)
-        x, y = torch.tensor(seen, dtype=torch.float32), torch.tensor(taught, dtype=torch.float32)
-        batches = max(1, len(x) // lesson.minibatch)
-        optimiser = torch.optim.Adam(actor.parameters(), lr=lesson.learning_rate)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, lesson.learning_rate, total_steps=lesson.epochs * batches + 1
-        )  # fmt: skip
-        loss = torch.zeros(())
-        for _ in range(lesson.epochs):
-            for rows in torch.from_numpy(rng.permutation(len(x))).split(lesson.minibatch)[:batches]:
-                loss = torch.nn.functional.mse_loss(actor(x[rows]), y[rows])
-                optimiser.zero_grad()
-                loss.backward()
-                optimiser.step()
-                schedule.step()
-        return float(loss.detach())
-
     def exported(self, command: tuple[float, ...] = ()) -> Perceptron:
         """The actor as plain arrays; it says what the mean of the policy says."""
         policy, environment = self.ppo.policy, self.environment
@@ -211,7 +190,9 @@ class Learner:
         centre, gain = normaliser(environment.layout, environment.map)
         if environment.layout.commanded and not command:
             command = (environment.task.commands[0], 0.0, 0.0)
-        return Perceptron(arrays, centre, gain, environment.map, environment.layout.history, command)
+        return Perceptron(
+            arrays, centre, gain, environment.map, environment.layout.history, command, environment.rhythm
+        )  # fmt: skip
 
     def state(self) -> dict[str, Array]:
         """Weights and the optimiser's moments by name."""

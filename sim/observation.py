@@ -189,13 +189,15 @@ class ActionMap:
         places = np.asarray(order)
         return replace(self, **{name: getattr(self, name)[places] for name in ("centre", "scale", "low", "high")})
 
-    def targets(self, said: ArrayLike, previous: ArrayLike) -> Array:
+    def targets(self, said: ArrayLike, previous: ArrayLike, centre: ArrayLike | None = None) -> Array:
         """Joint targets (..., n) [rad] for what a policy says (..., n), after the targets `previous` (..., n) [rad].
 
-        q* = q*' + clip(blend (clip(centre + scale clip(said, -1, 1), low, high) - q*'), -step, step).
+        q* = q*' + clip(blend (clip(centre + scale clip(said, -1, 1), low, high) - q*'), -step, step); another `centre`
+        (..., n) [rad] may stand for this one's, the rhythm of the moment.
         """
         before = np.asarray(previous, dtype=np.float64)
-        wanted = np.clip(self.centre + self.scale * np.clip(said, -1.0, 1.0), self.low, self.high)
+        middle = self.centre if centre is None else np.asarray(centre, dtype=np.float64)
+        wanted = np.clip(middle + self.scale * np.clip(said, -1.0, 1.0), self.low, self.high)
         return np.asarray(before + np.clip(self.blend * (wanted - before), -self.step, self.step))
 
 

@@ -46,12 +46,12 @@ class Task:
     heading: float = 0.0
     target_speed: float = 0.8
     commands: tuple[float, float, float] = (0.4, 0.2, 0.6)
-    lateral: float = 0.3
-    turning: float = 0.3
-    tilting: float = 0.5
-    action_rate: float = 0.02
-    torque: float = 0.05
-    power: float = 0.05
+    lateral: float = 0.1
+    turning: float = 0.1
+    tilting: float = 0.2
+    action_rate: float = 0.007
+    torque: float = 0.1
+    power: float = 0.015
     fall: float = 40.0
 
     def __post_init__(self) -> None:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.actor import Actor, Perceptron
+from sim.actor import Actor, Gait, Perceptron
 from sim.closed_loop import roll_out_actor
-from sim.environment import TEN_SECONDS, Environment, Episode, action_map
+from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
 from sim.learning import USUAL, Learner, Ppo
 from sim.model import Model
 from sim.randomisation import RANDOMISED, Randomisation, draw
@@ -20,6 +20,8 @@ from sim.tasks import FAST, SCALE, Task
 Array = NDArray[np.float64]
 
 LEARN, EVALUATE, RACE = 0, 1, 2  # purposes of randomness
+CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
+RHYTHM_SPREAD = 2 / 3  # of exploration about a rhythm over that of a free start
 EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and their length [s]
 
 
@@ -32,7 +34,7 @@ class Training:
         steps: control periods of all copies together.
         chunk: so many between two evaluations.
         ppo: the learner.
-        task: what is learned; its heading is replaced by the best found.
+        task: what is learned; its heading is that of the start.
         randomisation: what each episode draws; None trains on the model as it is.
         episode: how episodes run.
         last_spread: standard deviation of what the policy says at the end.
@@ -45,7 +47,7 @@ class Training:
     task: Task = FAST
     randomisation: Randomisation | None = RANDOMISED
     episode: Episode = TEN_SECONDS
-    last_spread: float = 0.25
+    last_spread: float = 0.15
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -58,6 +60,47 @@ class Training:
     def chunks(self) -> int:
         """How many."""
         return -(-self.steps // self.chunk)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Start:
+    """What a training begins with.
+
+    Attributes:
+        heading: direction of the body that is to be forward [rad].
+        posture: targets of an action of 0 [rad], (n,).
+        rhythm: gait that the policy corrects; None where the policy makes the whole movement.
+    """
+
+    heading: float
+    posture: Array
+    rhythm: Gait | None = None
+
+    def state(self) -> dict[str, Array]:
+        """As named arrays, for a checkpoint."""
+        found = {"heading": np.array(self.heading), "posture": self.posture}
+        if self.rhythm is not None:
+            gait = self.rhythm
+            found["rhythm"] = np.concatenate([[gait.frequency], gait.amplitude, gait.phase, gait.offset])
+        return found
+
+
+def start_of(state: Mapping[str, Array]) -> Start:
+    """The start out of what `Start.state` gave; a missing array is a KeyError."""
+    rhythm = None
+    if "rhythm" in state:
+        frequency, *rest = np.split(state["rhythm"], [1, *(1 + len(state["posture"]) * np.arange(1, 3))])
+        rhythm = Gait(float(frequency[0]), *rest)
+    return Start(float(state["heading"]), state["posture"], rhythm)
+
+
+def starts(gait: Gait, heading: float, count: int) -> tuple[Start, ...]:
+    """Candidates that an open-loop gait suggests: first the gait itself, corrected; then freely along headings.
+
+    The free ones are spread evenly from the heading of the gait [rad], and begin in its posture.
+    """
+    free = headings(heading, max(count - 1, 0))
+    return (Start(heading, gait.offset, gait), *(Start(angle, gait.offset) for angle in free))[:count]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,29 +151,22 @@ class Chunk:
 class Trainer:
     """One policy in the making; `advance` runs one chunk."""
 
-    def __init__(self, model: Model, training: Training, *, nthread: int = 1) -> None:
+    def __init__(self, model: Model, training: Training, start: Start, *, nthread: int = 1) -> None:
         """Begin from nothing.
 
         Args:
             model: of the robot, made by `sim.herd.with_latency_room`.
             training: what to do.
+            start: what it begins with.
             nthread: threads of the physics; it changes no result.
         """
-        self.model, self.training, self.nthread = model, training, nthread
-        self.environment = Environment(
-            model,
-            training.ppo.copies,
-            training.task,
-            action_map(model),
-            training.randomisation,
-            training.episode,
-            nthread,
-        )
+        self.model, self.training, self.start, self.nthread = model, training, start, nthread
+        self.environment = environment_of(model, training, start, nthread)
         self.learner = Learner(self.environment, training.ppo, training.seed)
         self.done = 0  # chunks
         self.best: Perceptron | None = None
         self.best_verdict: Verdict | None = None
-        self._start = settle(model)
+        self._settled = settle(model)
 
     @property
     def ranges(self) -> Randomisation:
@@ -146,14 +182,15 @@ class Trainer:
         training, index = self.training, self.done
         progress = index / training.chunks
         # Explore widely first; a policy that leans on its own noise to move would stand still without it.
-        spread = training.ppo.spread * (training.last_spread / training.ppo.spread) ** min(1.0, progress / 0.6)
+        first = first_spread(training, self.start)
+        spread = first * (training.last_spread / first) ** min(1.0, progress / 0.6)
         rate = training.ppo.learning_rate * (1.0 - 0.8 * progress)
         rng = np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(LEARN, index)))
         steps = min(training.chunk, training.steps - index * training.chunk)
         curves, seconds = self.learner.learn(steps, rng, rate, spread)
         self.done += 1
         actor = self.actor()
-        verdict = evaluate(self.model, actor, training, self.nthread, self._start)
+        verdict = evaluate(self.model, actor, training, self.nthread, self._settled)
         if self.best_verdict is None or verdict.score > self.best_verdict.score:
             self.best, self.best_verdict = actor, verdict
         done = min(self.done * training.chunk, training.steps)
@@ -162,7 +199,7 @@ class Trainer:
     def state(self) -> dict[str, Array]:
         """All that a later process needs to go on, as named arrays."""
         found = {f"learner/{name}": value for name, value in self.learner.state().items()}
-        found["done"] = np.array(self.done)
+        found |= self.start.state() | {"done": np.array(self.done)}
         if self.best is not None and self.best_verdict is not None:
             for index, (weight, bias) in enumerate(self.best.layers):
                 found[f"best/{index}/weight"], found[f"best/{index}/bias"] = weight, bias
@@ -232,22 +269,33 @@ class Race:
     training: Training
     steps: int
 
-    def __call__(self, heading: float) -> float:
+    def __call__(self, start: Start) -> float:
         """Mean speed while exploring, in the last third [m/s]."""
-        task = replace(self.training.task, heading=heading)
         third = max(1, self.steps // 3)
-        training = replace(self.training, task=task, steps=self.steps, chunk=third)
-        environment = Environment(
-            self.model, training.ppo.copies, task, action_map(self.model), training.randomisation, training.episode
-        )
-        learner = Learner(environment, training.ppo, training.seed)
+        environment = environment_of(self.model, self.training, start)
+        learner = Learner(environment, self.training.ppo, self.training.seed)
+        rate, spread = self.training.ppo.learning_rate, first_spread(self.training, start)
         curves: Mapping[str, float] = {}
         for index in range(3):
-            key = np.random.SeedSequence(training.seed, spawn_key=(RACE, index))
-            curves, _ = learner.learn(
-                third, np.random.default_rng(key), training.ppo.learning_rate, training.ppo.spread
-            )
+            rng = np.random.default_rng(np.random.SeedSequence(self.training.seed, spawn_key=(RACE, index)))
+            curves, _ = learner.learn(third, rng, rate, spread)
         return curves["speed"] / SCALE / 2.0
+
+
+def environment_of(model: Model, training: Training, start: Start, nthread: int = 1) -> Environment:
+    """Where a training from a start takes place."""
+    reach = REACH if start.rhythm is None else CORRECTION
+    return Environment(
+        model, training.ppo.copies, replace(training.task, heading=start.heading),
+        action_map(model, start.posture, reach), training.randomisation, training.episode, start.rhythm, nthread,
+    )  # fmt: skip
+
+
+def first_spread(training: Training, start: Start) -> float:
+    """Standard deviation of what the policy says at first; a rhythm would drown in what a free start needs."""
+    return (
+        training.ppo.spread if start.rhythm is None else max(training.last_spread, RHYTHM_SPREAD * training.ppo.spread)
+    )
 
 
 def headings(first: float, count: int) -> tuple[float, ...]:
