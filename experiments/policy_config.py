@@ -42,7 +42,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    target_speed: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5
+    target_speed: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.45
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
     terrain: Literal["flat", "rough", "potholes", "slope", "steps"] = "flat"
@@ -55,10 +55,10 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         from sim.environment import TEN_SECONDS
         from sim.learning import USUAL
         from sim.randomisation import RANDOMISED
-        from sim.tasks import Goal, Task
+        from sim.tasks import STEADY, Goal
         from sim.training import Training
 
-        task = Task(Goal(self.task), target_speed=self.target_speed)
+        task = replace(STEADY, goal=Goal(self.task), target_speed=self.target_speed)
         return Training(
             self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
             RANDOMISED if self.randomise else None, replace(TEN_SECONDS, history=self.history),

@@ -54,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
-    parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.5 m/s)")
+    parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")
     parser.add_argument("--no-randomise", action="store_true", help="train on the twin exactly as it is")

@@ -66,6 +66,7 @@ class Task:
 
 
 FAST = Task()  # as fast as is useful, along the x axis that the body stood in
+STEADY = Task(target_speed=0.45, tilting=0.4, torque=0.3, fall=100.0)  # so that motors stay cool and falls are rare
 
 
 @dataclass(frozen=True, eq=False, slots=True)
