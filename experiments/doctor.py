@@ -21,6 +21,7 @@ REQUIRED = (
     ("pyserial", "serial"), ("matplotlib", "matplotlib"), ("msgspec", "msgspec"), ("tqdm", "tqdm"), ("pillow", "PIL"),
     ("imageio-ffmpeg", "imageio_ffmpeg"), ("torch", "torch"),
     ("safetensors", "safetensors.numpy"), ("tensorboardX", "tensorboardX"),
+    ("gymnasium", "gymnasium"), ("stable-baselines3", "stable_baselines3"),
 )  # fmt: skip
 SLICERS = ("prusa-slicer", "PrusaSlicer", "prusaslicer", "orca-slicer", "OrcaSlicer", "bambu-studio", "cura")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

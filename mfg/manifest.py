@@ -15,7 +15,7 @@ import numpy as np
 from mfg.addresses import MAX_BUS, can_address, turn_sign
 from mfg.blueprint import Blueprint, PrintedPart
 from mfg.catalogue import Motor, ScrewPattern
-from mfg.description import DescribedJoint, Description, Link
+from mfg.description import PAPER_SKIN, DescribedJoint, Description, Link, SkinMaterial
 from mfg.masses import printed_moments
 from mfg.outcome import Scores
 from mfg.plate import Lay
@@ -88,9 +88,11 @@ def robot_json(description: Description) -> dict[str, Any]:
         "standing_height": description.standing_height,
         "imu_link": description.imu_link,
         "T_link_imu": description.T_link_imu.tolist(),
+        "skin": asdict(description.skin),
         "links": [
             {"name": link.name, "parent": link.parent, "T": link.T.tolist(), "mass": link.mass,
-             "com": link.com.tolist(), "inertia": link.inertia.tolist(), "hull": link.hull.tolist()}
+             "com": link.com.tolist(), "inertia": link.inertia.tolist(), "hull": link.hull.tolist(),
+             "skin_thickness": link.skin_thickness}
             for link in description.links
         ],
         "joints": [
@@ -135,7 +137,8 @@ def read_description(path: Path | str) -> Description:
         built = {joint["name"]: joint for joint in document["joints"]}
         links = tuple(
             Link(str(link["name"]), int(link["parent"]), _array(link["T"], 3), _finite(link["mass"]),
-                 _array(link["com"], 3), _array(link["inertia"], 3, 3), _array(link["hull"], -1, 3))
+                 _array(link["com"], 3), _array(link["inertia"], 3, 3), _array(link["hull"], -1, 3),
+                 _finite(link.get("skin_thickness", 0.0)))
             for link in robot["links"]
         )  # fmt: skip
         joints = tuple(
@@ -150,6 +153,8 @@ def read_description(path: Path | str) -> Description:
         return Description(
             str(robot["name"]), links, joints, int(robot["imu_link"]), _array(robot["T_link_imu"], 4, 4),
             robot["source"], _finite(robot["standing_height"]),
+            # Older files know no skin; theirs is the paper's.
+            SkinMaterial(**{k: _finite(v) for k, v in robot["skin"].items()}) if "skin" in robot else PAPER_SKIN,
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise ManifestError(f"{path}: the robot in it is incomplete or malformed ({error!r:.120})") from None

@@ -26,6 +26,8 @@ def path(content: bytes, tmp_path: Path) -> Path:
 
 def test_the_robot_is_read_back_to_the_last_bit(path: Path, built: Outcome) -> None:
     ours, theirs = describe(built.blueprint), read_description(path.parent)
+    assert theirs.skin == ours.skin
+    assert [link.skin_thickness for link in theirs.links] == [link.skin_thickness for link in ours.links]
     assert (theirs.name, theirs.source, theirs.imu_link) == (ours.name, ours.source, ours.imu_link)
     assert theirs.standing_height == ours.standing_height
     assert np.array_equal(theirs.T_link_imu, ours.T_link_imu)

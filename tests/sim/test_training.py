@@ -1,0 +1,133 @@
+"""Training gives the same bytes whatever the threads and the interruptions, and exports what it learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mfg.description import Description
+from sim.actor import Gait
+from sim.herd import with_latency_room
+from sim.learning import USUAL
+from sim.model import make_spec
+from sim.training import Race, Start, Trainer, Training, evaluate, headings, start_of, starts
+
+SMALL = Training(
+    seed=5, steps=192, chunk=64, ppo=replace(USUAL, copies=4, horizon=16, minibatch=32, epochs=2, units=16)
+)
+GAIT = Gait(1.5, np.full(4, 0.4), np.arange(4.0), np.zeros(4))
+FREE, CORRECTED = Start(0.3, np.zeros(4)), Start(0.3, np.zeros(4), GAIT)
+
+
+@pytest.fixture(scope="module")
+def model(quadruped: Description) -> Any:
+    return with_latency_room(make_spec(quadruped))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_evaluation() -> Any:
+    """Ten seconds of ten robots after every chunk would be all that these tests do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sim.training.EVALUATION_SECONDS", 0.2)
+        yield
+
+
+def run(model: Any, start: Start = FREE, chunks: int = 3, **how: Any) -> Trainer:
+    trainer = Trainer(model, SMALL, start, **how)
+    for _ in range(chunks):
+        trainer.advance()
+    return trainer
+
+
+def bytes_of(trainer: Trainer) -> bytes:
+    return b"".join(np.asarray(value).tobytes() for _, value in sorted(trainer.state().items()))
+
+
+@pytest.fixture(scope="module")
+def whole(model: Any) -> Trainer:
+    return run(model)
+
+
+def test_the_same_seed_gives_the_same_weights_on_any_number_of_threads(model: Any, whole: Trainer) -> None:
+    assert bytes_of(run(model, nthread=2)) == bytes_of(whole)
+    other = Trainer(model, replace(SMALL, seed=6), FREE)
+    assert bytes_of(other) != bytes_of(Trainer(model, SMALL, FREE))
+
+
+def test_a_resumed_training_is_the_uninterrupted_one(model: Any, whole: Trainer) -> None:
+    half = run(model, chunks=2)
+    later = Trainer(model, SMALL, start_of(half.state()))
+    later.restore(half.state())
+    later.advance()
+    assert bytes_of(later) == bytes_of(whole)
+
+
+def test_the_exported_policy_says_what_the_learner_means(whole: Trainer) -> None:
+    actor, policy = whole.actor(), whole.learner.ppo.policy
+    seen = np.random.default_rng(0).normal(size=(50, actor.layout.size))
+    with torch.no_grad():
+        meant = policy.get_distribution(torch.tensor(seen, dtype=torch.float32)).mode().numpy()
+    np.testing.assert_allclose(actor.say(seen), meant, atol=1e-5)
+
+
+def test_a_rhythm_and_its_start_survive_the_checkpoint(model: Any) -> None:
+    trainer = run(model, CORRECTED, chunks=1)
+    again = start_of(trainer.state())
+    assert again.heading == CORRECTED.heading
+    assert again.rhythm is not None
+    np.testing.assert_array_equal(again.rhythm.targets(0.37), GAIT.targets(0.37))
+    assert trainer.actor().rhythm is GAIT
+    assert start_of(FREE.state()).rhythm is None
+
+
+def test_the_best_so_far_has_the_best_verdict(model: Any) -> None:
+    trainer = Trainer(model, SMALL, FREE)
+    scores = [trainer.advance().verdict.score for _ in range(3)]
+    assert trainer.best_verdict is not None
+    assert trainer.best is not None
+    assert trainer.best_verdict.score == max(scores)
+    assert evaluate(model, trainer.best, SMALL) == trainer.best_verdict
+
+
+def test_a_checkpoint_of_another_learner_is_refused(model: Any, whole: Trainer) -> None:
+    wider = Trainer(model, replace(SMALL, ppo=replace(SMALL.ppo, units=8)), FREE)
+    with pytest.raises(ValueError, match="has shape"):
+        wider.restore(whole.state())
+    with pytest.raises(KeyError):
+        whole.restore({"done": np.array(1)})
+
+
+def test_exploration_narrows_as_planned(model: Any) -> None:
+    trainer = Trainer(model, SMALL, FREE)
+    spreads = [trainer.advance().curves["spread"] for _ in range(3)]
+    assert spreads[0] == pytest.approx(SMALL.ppo.spread)
+    assert spreads == sorted(spreads, reverse=True)
+    assert spreads[-1] == pytest.approx(SMALL.last_spread)
+
+
+def test_candidates_are_the_gait_and_free_headings_all_around() -> None:
+    found = starts(GAIT, 3.0, 4)
+    assert [start.rhythm is GAIT for start in found] == [True, False, False, False]
+    assert len(starts(GAIT, 3.0, 1)) == 1
+    angles = np.array(headings(3.0, 3))
+    assert (np.abs(angles) <= np.pi).all()
+    np.testing.assert_allclose(np.exp(1j * angles).sum(), 0, atol=1e-12)
+
+
+def test_a_race_is_repeatable(model: Any) -> None:
+    race = Race(model, SMALL, 96)
+    assert race(CORRECTED) == race(CORRECTED)
+    assert np.isfinite(race(FREE))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"steps": 0}, "steps 0"), ({"chunk": 0}, "chunk 0"), ({"last_spread": 0.9}, "last_spread")],
+)
+def test_bounds_are_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(SMALL, **changes)
