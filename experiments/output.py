@@ -37,8 +37,12 @@ class BadInput(ValueError):
 
 
 def say(text: str) -> None:
-    """Tell the person at the terminal something (stderr)."""
-    print(text, file=sys.stderr, flush=True)
+    """Tell the person at the terminal something (stderr), above a progress bar if there is one."""
+    bars = sys.modules.get("tqdm")
+    if bars is None:
+        print(text, file=sys.stderr, flush=True)
+    else:
+        bars.tqdm.write(text, file=sys.stderr)
 
 
 def emit(value: Any) -> None:

@@ -203,7 +203,8 @@ def read_state(path: Path) -> dict[str, Array]:
         BadInput: if the file is damaged or foreign.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here, because numpy leaves a file open that it cannot read.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state = {name: archive[name] for name in archive.files}
     except (ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
         raise BadInput(f"{path}: not a readable checkpoint ({error}); choose another --out") from None
