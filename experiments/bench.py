@@ -20,7 +20,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+from experiments.bench_training import training
 from experiments.output import VERSION, count, make_folder, progress, say
+from experiments.run_folder import cores
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
@@ -52,10 +54,11 @@ def main() -> int:
     args = parser.parse_args()
     make_folder(args.out.parent)
     rows: list[Row] = []
-    sections = (designs(args.n), motor_scan(), simulator(), workers(args.evaluations), start(), memory())
-    for row in itertools.chain.from_iterable(sections):  # Generators: each section measures when its turn comes.
-        say(line(row))
-        rows.append(row)
+    learning = training(row, cores())
+    sections = (designs(args.n), motor_scan(), simulator(), learning, workers(args.evaluations), start(), memory())
+    for found in itertools.chain.from_iterable(sections):  # Generators: each section measures when its turn comes.
+        say(line(found))
+        rows.append(found)
     result = {"bodyplan": VERSION, "machine": machine(), "seed": SEED, "designs": args.n, "rows": rows}
     args.out.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     table = f"Measured on {machine()}.\n\n{markdown(rows)}"

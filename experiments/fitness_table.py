@@ -105,8 +105,8 @@ def transfer(rows: list[Row]) -> dict[str, Any]:
         if row["twin_ranges_differ"]:
             causes.append("other joint ranges")
         causes.append(f"mass x {row['twin_mass_kg'] / row['mass_kg']:.2f}")
-        found.append({"design": row["design"], "ratio": after["speed"] / before["speed"], "virtual_m_s": before["speed"],
-                      "causes": causes})  # fmt: skip
+        ratio = after["speed"] / before["speed"]
+        found.append({"design": row["design"], "ratio": ratio, "virtual_m_s": before["speed"], "causes": causes})
     ratios = np.array([entry["ratio"] for entry in found])
     quantiles = [float(q) for q in np.quantile(ratios, [0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0])] if len(ratios) else []
     return {"bodies": len(found), "quantiles": quantiles, "worst": sorted(found, key=lambda e: e["ratio"])[:5]}

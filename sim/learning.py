@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from sim.actor import Perceptron
 from sim.environment import Environment
-from sim.gym_env import spaces_of
+from sim.gym_env import WalkEnv, spaces_of
+from sim.model import Model
 from sim.observation import normaliser
+from sim.randomisation import RANDOMISED
 
 Array = NDArray[np.float64]
 
@@ -143,6 +146,47 @@ class Normalise(BaseFeaturesExtractor):  # type: ignore[misc]
         return (observations - self.centre) * self.gain
 
 
+def ppo_on(vector: VecEnv, environment: Environment, settings: Ppo, seed: int) -> PPO:
+    """The library's PPO on any vector of environments like this one."""
+    centre, gain = normaliser(environment.layout, environment.map)
+    return PPO(
+        "MlpPolicy", vector, learning_rate=settings.learning_rate, n_steps=settings.horizon,
+        batch_size=min(settings.minibatch, settings.update), n_epochs=settings.epochs, gamma=settings.gamma,
+        gae_lambda=settings.trace, clip_range=settings.clip, ent_coef=0.0, vf_coef=0.5, max_grad_norm=1.0,
+        policy_kwargs={
+            "net_arch": {"pi": [settings.units] * 2, "vf": [settings.units] * 2},
+            "activation_fn": torch.nn.Tanh, "log_std_init": float(np.log(settings.spread)),
+            "features_extractor_class": Normalise,
+            "features_extractor_kwargs": {"centre": centre.tolist(), "gain": gain.tolist()},
+        },
+        device="cpu", seed=seed,
+    )  # fmt: skip
+
+
+def on_processes(model: Model, settings: Ppo, steps: int, seed: int) -> tuple[float, int]:
+    """Wall seconds and control periods of the same PPO on the library's SubprocVecEnv, a process per copy.
+
+    The experience of one update is what the batched learner gathers for one; what starts up is not counted.
+    """
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    torch.set_num_threads(1)
+    alike = replace(settings, horizon=USUAL.update // settings.copies)
+    vector = SubprocVecEnv([partial(_walk, model)] * settings.copies, start_method="spawn")
+    try:
+        ppo = ppo_on(vector, Environment(model, 1), alike, seed)
+        ppo.learn(alike.update)
+        before = time.perf_counter()
+        ppo.learn(steps)
+        return time.perf_counter() - before, ppo.num_timesteps
+    finally:
+        vector.close()
+
+
+def _walk(model: Model) -> Any:
+    return WalkEnv(model, randomisation=RANDOMISED)
+
+
 class Learner:
     """PPO on an environment; its state is plain arrays, and what it draws comes from the generators it is given."""
 
@@ -151,19 +195,7 @@ class Learner:
         torch.set_num_threads(1)
         self.environment, self.settings = environment, settings
         self._vector = Vector(environment, np.random.default_rng(seed))
-        centre, gain = normaliser(environment.layout, environment.map)
-        self.ppo = PPO(
-            "MlpPolicy", self._vector, learning_rate=settings.learning_rate, n_steps=settings.horizon,
-            batch_size=min(settings.minibatch, settings.update), n_epochs=settings.epochs, gamma=settings.gamma,
-            gae_lambda=settings.trace, clip_range=settings.clip, ent_coef=0.0, vf_coef=0.5, max_grad_norm=1.0,
-            policy_kwargs={
-                "net_arch": {"pi": [settings.units] * 2, "vf": [settings.units] * 2},
-                "activation_fn": torch.nn.Tanh, "log_std_init": float(np.log(settings.spread)),
-                "features_extractor_class": Normalise,
-                "features_extractor_kwargs": {"centre": centre.tolist(), "gain": gain.tolist()},
-            },
-            device="cpu", seed=seed,
-        )  # fmt: skip
+        self.ppo = ppo_on(self._vector, environment, settings, seed)
         # How widely to explore is a schedule, not learned: learned, it grew on robots that move by jitter.
         self.ppo.policy.log_std.requires_grad_(False)
 
