@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STATE = "training.npz"
-BLUEPRINT, EVENTS, VIDEO, STRIP = "blueprint", "events", "walk.mp4", "walk.png"
+BLUEPRINT, EVENTS, VIDEO, STRIP, PAGE = "blueprint", "events", "walk.mp4", "walk.png", "behaviour.html"
 GAIT, FINAL = 3, 4  # purposes of randomness beside those of `sim.training`
 EPISODE = 20.0  # of the closing measurement [s]
 RACE_TIMEOUT = 3600.0  # [s]
@@ -219,6 +219,7 @@ def _conclude(
     digest: str,
 ) -> dict[str, Any]:  # fmt: skip
     """Measure the best policy on the twin, write the bundle, the films and the result; the result comes last."""
+    from experiments.behaviour_page import write_behaviour_page
     from experiments.deploy import bundle_of
     from hardware.bundle import save_bundle
     from sim.behaviour import motor_limits, motor_uses, motor_warnings
@@ -237,6 +238,7 @@ def _conclude(
     save_bundle(folder, bundle_of(description, actor, config_hash=digest), source)
     trials = randomised(model, actor, trainer.ranges, config.seed + FINAL, seconds=EPISODE, nthread=trainer.nthread)
     alive = [trial for trial in trials if trial is not None]
+    falls = len(trials) - sum(not trial.fell for trial in alive)
     uses = motor_uses(model, rollouts)
     result = {
         "kind": "policy",
@@ -249,7 +251,7 @@ def _conclude(
         "behaviour": behaviour.to_json() | {"steps_per_s": None},
         "randomised": {
             "episodes": len(trials),
-            "falls": len(trials) - sum(not trial.fell for trial in alive),
+            "falls": falls,
             "mean_speed_m_s": float(np.mean([trial.speed for trial in alive])) if alive else 0.0,
             "least_speed_m_s": min((trial.speed for trial in alive), default=0.0),
         },
@@ -259,5 +261,12 @@ def _conclude(
     save_strip(folder / STRIP, model, rollouts)
     if config.film > 0:
         save_video(folder / VIDEO, model, roll_out_actor(model, actor, config.film))
+    kind = "corrects an open-loop gait" if trainer.start.rhythm is not None else "makes the whole movement"
+    facts = (
+        ("training", f"{result['steps']} control periods; the policy {kind}"),
+        ("randomised", f"{len(trials) - falls} of {len(trials)} episodes of {EPISODE:.0f} s without a fall"),
+    )
+    write_behaviour_page(folder / PAGE, model, rollouts, behaviour, title=f"How {description.name} moves", facts=facts,
+                         film=folder / VIDEO if config.film > 0 else None)  # fmt: skip
     write_json(folder / RESULT, result)
     return result

@@ -30,6 +30,7 @@ examples:
 
 the folder is a policy bundle (bundle.json, robot.xml, meshes/) and holds:
   result.json        what was measured on the twin: speed, falls in randomised episodes, torques, warnings
+  behaviour.html     how it moves: gait diagram, motors against their limits, the film
   walk.mp4, .png     a film and a strip of moments
   events/            curves for `tensorboard --logdir`
   config.toml        what was asked; `bodyplan run` takes it, too
