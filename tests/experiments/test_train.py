@@ -72,7 +72,8 @@ def test_the_folder_is_a_bundle_and_says_what_was_measured(trained: Path) -> Non
     assert 0 <= result["randomised"]["falls"] <= 10
     assert result["rhythm"] is True
     assert list((trained / "events").iterdir())
-    assert {"walk.png", "behaviour.html", "robot.xml", "meshes", "config.toml", "checkpoint"} <= {p.name for p in trained.iterdir()}
+    left = {"walk.png", "behaviour.html", "robot.xml", "meshes", "config.toml", "checkpoint"}
+    assert left <= {path.name for path in trained.iterdir()}
 
 
 def test_simulate_and_a_dry_run_take_it(bodyplan: Callable[..., Any], trained: Path, blueprint: Path) -> None:
