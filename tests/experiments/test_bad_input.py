@@ -253,7 +253,7 @@ CONFIGS: dict[str, tuple[Maker, str]] = {
     "config: not TOML": (config("kind = evolve"), "not a TOML file"),
     "config: a key twice": (config('kind = "study"\nn = 1\nn = 2'), "not a TOML file"),
     "config: unknown kind": (config('kind = "evolv"'), 'did you mean "evolve"'),
-    "config: kind of a later version": (config('kind = "policy"'), "later version"),
+    "config: a policy of no robot": (config('kind = "policy"'), "robot is missing"),
     "config: kind is a number": (config("kind = 3"), "kind = 3"),
     "config: a typo": (config('kind = "evolve"\n[search]\ngenerationz = 3'), "did you mean generations"),
     "config: a typo in a table": (config('kind = "evolve"\n[serch]\nsigma = 1.0'), "did you mean search"),

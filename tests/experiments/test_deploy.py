@@ -209,7 +209,7 @@ def test_a_learned_policy_is_rehearsed_and_replayed(
 ) -> None:
     policy, log = tmp_path / "learned", tmp_path / "run.log"
     save_bundle(policy, bundle_of(robot, actor), kept)
-    said = bodyplan("deploy", policy, "--dry-run", "--seconds", "4", "--log", log, "--json")
+    said = bodyplan("deploy", policy, "--dry-run", "--seconds", "5", "--log", log, "--json")
     result = json.loads(said.out)
     assert (said.status, result["latched"], result["state"]) == (0, None, "off"), said.err
     states = [json.loads(line) for line in states_path(log).read_text().splitlines()[2:]]

@@ -51,7 +51,11 @@ def digest(path: Path) -> str:
 
 def started(config: Path, folder: Path, *more: str) -> subprocess.Popen[str]:
     words = [sys.executable, "-m", "experiments.cli", "run", str(config), "--out", str(folder), *more]
-    return subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # Tests that run in the background of a shell inherit that Ctrl-C is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
 
 
 def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
