@@ -1,156 +1,228 @@
-"""What the study of fitness rungs says: costs, rank correlations, and how policies transfer to the twin."""
+"""What the fitness study says: costs and rank correlations of the rungs, and how policies transfer to the twin.
+
+    python -m experiments.fitness_table DIR
+
+reads DIR/bodies.jsonl and writes ladder.md, ladder.json, ladder.png and transfer.png beside it. The study does the same
+when it is done; by itself this works on what is measured so far.
+"""
 
 from __future__ import annotations
 
+import argparse
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import rankdata
 
-from experiments.output import BadInput
+from experiments.fitness_combination import combination
+from experiments.fitness_rungs import LEAST, RESAMPLES, Row, gold, interval, rank, robust_gold, rungs
+from experiments.output import DONE, BadInput
 
-Array = NDArray[np.float64]
-Row = dict[str, Any]
-
-RESAMPLES, SEED = 2000, 0  # of the bootstrap over bodies
-LEAST = 3  # bodies that a correlation needs
-BASELINE = "open-loop gait, CMA-ES 20 x 12: score"
+STANDS_STILL = 0.02  # speed of the virtual robot below which a ratio says nothing [m/s]
+WORST = 5
+QUANTILES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 
 
-def gold(row: Row) -> float:
-    """What rungs are measured by: the best speed without exploration that the long training reached [m/s]."""
-    return max(point["speed"] for point in row["training"])
-
-
-def _speeds(row: Row) -> Array:
-    return np.sort([gait["speed"] for gait in row["random"]] or [0.0])[::-1]
-
-
-def _steady(row: Row) -> float:
-    """Best random gait by speed times the share upright."""
-    return max((gait["speed"] * gait["upright"] for gait in row["random"]), default=0.0)
-
-
-def rungs(rows: list[Row]) -> dict[str, tuple[Callable[[Row], float], Callable[[Row], float]]]:
-    """Name -> (fitness of a body, CPU seconds it took)."""
-    found: dict[str, tuple[Callable[[Row], float], Callable[[Row], float]]] = {
-        "random gaits: best": (lambda r: float(_speeds(r)[0]), lambda r: r["cpu_random"]),
-        "random gaits: best that stays upright": (_steady, lambda r: r["cpu_random"]),
-        "random gaits: mean of the best 6": (lambda r: float(_speeds(r)[:6].mean()), lambda r: r["cpu_random"]),
-        "random gaits: median": (lambda r: float(np.median(_speeds(r))), lambda r: r["cpu_random"]),
-        "open-loop gait, CMA-ES 13 x 8: score": (lambda r: r["screening"]["score"], lambda r: r["cpu_screening"]),
-        BASELINE: (lambda r: r["thorough"]["score"], lambda r: r["cpu_thorough"]),
-        "geometric mean of the best random gait and the score of 13 x 8": (
-            lambda r: float(np.sqrt(_speeds(r)[0] * max(r["screening"]["score"], 0.0))),
-            lambda r: r["cpu_random"] + r["cpu_screening"],
-        ),
-        "short PPO: corrected gait": (lambda r: r["race"][0], lambda r: r["cpu_race"] / len(r["race"])),
-        "short PPO: best of 4 starts": (lambda r: max(r["race"]), lambda r: r["cpu_race"]),
-    }
-    for k, point in enumerate(rows[0]["training"][:-1]):
-        name = f"PPO {point['steps'] / 1000:.0f} k"
-
-        def cost(row: Row, k: int = k) -> float:
-            return float(row["cpu_race"] + sum(p["cpu"] for p in row["training"][: k + 1]))
-
-        found[f"{name}: exploring"] = (lambda r, k=k: r["training"][k]["exploring"], cost)  # type: ignore[misc]
-        found[f"{name}: the policy itself"] = (lambda r, k=k: r["training"][k]["speed"], cost)  # type: ignore[misc]
-        found[f"{name}: randomised"] = (lambda r, k=k: r["training"][k]["robust"], cost)  # type: ignore[misc]
-    return found
-
-
-def rank(fitness: Array, truth: Array) -> float:
-    """Spearman's correlation; 0 where either says the same of every body."""
-    return float(_ranks(fitness[None], truth[None])[0])
-
-
-def _ranks(fitness: Array, truth: Array) -> Array:
-    """Spearman's correlation of every row of (m, n)."""
-    x, y = (rankdata(values, axis=1) for values in (fitness, truth))
-    x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
-    spread = np.sqrt((x * x).sum(axis=1) * (y * y).sum(axis=1))
-    return np.asarray((x * y).sum(axis=1) / np.where(spread > 0, spread, 1.0))
-
-
-def interval(fitness: Array, truth: Array) -> tuple[float, float]:
-    """95 % bootstrap interval of `rank` over bodies."""
-    rng = np.random.default_rng(SEED)
-    picks = rng.integers(0, len(truth), (RESAMPLES, len(truth)))
-    low, high = np.quantile(_ranks(fitness[picks], truth[picks]), [0.025, 0.975])
-    return float(low), float(high)
-
-
-def ladder(rows: list[Row]) -> list[dict[str, Any]]:
-    """Every rung: name, median CPU seconds, rank correlation with the gold and its interval.
+def ladder(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Every rung that three bodies or more have: name, bodies, CPU seconds, correlations and an interval.
 
     Raises:
-        BadInput: if there are fewer than three bodies.
+        BadInput: if fewer than three bodies have a gold.
     """
-    if len(rows) < LEAST:
-        raise BadInput(f"{len(rows)} bodies are measured; a rank correlation needs {LEAST} or more")
+    rows = with_gold(rows)
     truth = np.array([gold(row) for row in rows])
+    robust = np.array([robust_gold(row) for row in rows])
     table = []
-    for name, (fitness, cost) in rungs(rows).items():
-        values = np.nan_to_num(np.array([fitness(row) for row in rows], dtype=np.float64))
+    for rung in rungs(rows):
+        values = rung.values(rows)
+        bodies = int(np.isfinite(values).sum())
+        if bodies < LEAST:
+            continue
         low, high = interval(values, truth)
-        table.append({"rung": name, "cpu_s": float(np.median([cost(row) for row in rows])), "rank": rank(values, truth),
-                      "low": low, "high": high})  # fmt: skip
+        table.append({"rung": rung.name, "bodies": bodies, "cpu_s": rung.seconds(rows), "rank": rank(values, truth),
+                      "low": low, "high": high, "rank_robust": rank(values, robust)})  # fmt: skip
     return table
 
 
-def transfer(rows: list[Row]) -> dict[str, Any]:
-    """Speed on the twin over speed on the virtual robot: quantiles, and the worst with what differs."""
-    found = []
+def with_gold(rows: Sequence[Row]) -> list[Row]:
+    """The bodies of which the long training is known.
+
+    Raises:
+        BadInput: if there are fewer than three.
+    """
+    found = [row for row in rows if np.isfinite(gold(row))]
+    if len(found) < LEAST:
+        raise BadInput(f"{len(found)} bodies are measured; a rank correlation needs {LEAST} or more")
+    return found
+
+
+def transfer(rows: Sequence[Row]) -> dict[str, Any]:
+    """Speed on the twin over speed on the virtual robot: quantiles, what goes with it, and the worst with causes."""
+    found, still, lost = [], 0, 0
     for row in rows:
-        before, after = row["virtual"], row["twin"]
-        if before is None or after is None or before["speed"] < 0.01:
-            continue
-        causes = []
-        if after["upright"] < 1 <= before["upright"]:
-            causes.append("it falls on the twin")
-        if row["twin_ranges_differ"]:
-            causes.append("other joint ranges")
-        causes.append(f"mass x {row['twin_mass_kg'] / row['mass_kg']:.2f}")
-        ratio = after["speed"] / before["speed"]
-        found.append({"design": row["design"], "ratio": ratio, "virtual_m_s": before["speed"], "causes": causes})
-    ratios = np.array([entry["ratio"] for entry in found])
-    quantiles = [float(q) for q in np.quantile(ratios, [0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0])] if len(ratios) else []
-    return {"bodies": len(found), "quantiles": quantiles, "worst": sorted(found, key=lambda e: e["ratio"])[:5]}
+        before, after = row.get("virtual"), row.get("twin")
+        if before is None or after is None:
+            lost += 1
+        elif before["speed"] < STANDS_STILL:
+            still += 1
+        else:
+            found.append((after["speed"] / before["speed"], row))
+    found.sort(key=lambda pair: pair[0])
+    ratios = [ratio for ratio, _ in found]
+    return {
+        "bodies": len(found), "stand_still": still, "lost": lost, "ratios": ratios,
+        "quantiles": [float(q) for q in np.quantile(ratios, QUANTILES)] if ratios else [],
+        "at_least_0.8": sum(ratio >= 0.8 for ratio in ratios),
+        "groups": _groups(found),
+        "worst": [{"design": row["design"], "ratio": ratio, "virtual_m_s": row["virtual"]["speed"],
+                   "twin_m_s": row["twin"]["speed"], "causes": causes(row)} for ratio, row in found[:WORST]],
+    }  # fmt: skip
 
 
-def markdown(rows: list[Row]) -> str:
-    """Both results as text."""
-    lines = [f"{len(rows)} bodies; gold: best deterministic speed of the long training, median "
-             f"{np.median([gold(row) for row in rows]):.2f} m/s.", "",
-             "| fitness | CPU-s | rank correlation | 95 % |", "|---|---:|---:|---|"]  # fmt: skip
-    lines += [
-        f"| {e['rung']} | {e['cpu_s']:.1f} | {e['rank']:.2f} | {e['low']:.2f} to {e['high']:.2f} |"
-        for e in ladder(rows)
-    ]
-    moved = transfer(rows)
-    lines += ["", f"Virtual to twin, {moved['bodies']} bodies, speed ratio:", "",
-              "| least | 10 % | 25 % | median | 75 % | 90 % | greatest |", "|---:|" + "---:|" * 6,
-              "| " + " | ".join(f"{q:.2f}" for q in moved["quantiles"]) + " |", ""]  # fmt: skip
-    lines += [f"- {e['design']}: {e['ratio']:.2f} of {e['virtual_m_s']:.2f} m/s; {', '.join(e['causes'])}"
-              for e in moved["worst"]]  # fmt: skip
-    return "\n".join(lines)
+def causes(row: Row) -> list[str]:
+    """What differs between a virtual robot and its twin, as far as the row says, the gravest first."""
+    found = []
+    if row["twin"].get("upright", 1.0) < 1.0 <= row["virtual"].get("upright", 1.0):
+        found.append(f"falls on the twin after {row['twin']['upright'] * row['twin'].get('seconds', 10.0):.1f} s")
+    if row.get("twin_ranges_differ"):
+        found.append("other joint ranges")
+    if "twin_mass_kg" in row and row.get("mass_kg"):
+        found.append(f"mass x {row['twin_mass_kg'] / row['mass_kg']:.2f}")
+    if row.get("twin_hull_shift_m", 0.0) >= 1e-3:
+        found.append(f"length differs by {1000 * row['twin_hull_shift_m']:.0f} mm")
+    return found
+
+
+def _groups(found: Sequence[tuple[float, Row]]) -> list[dict[str, Any]]:
+    """The median ratio of bodies that share a possible cause, and of those without it."""
+    masses = [row["twin_mass_kg"] / row["mass_kg"] for _, row in found if "twin_mass_kg" in row and row.get("mass_kg")]
+    middle = float(np.median(masses)) if masses else math.nan
+    tests: dict[str, Callable[[Row], bool]] = {
+        "falls on the twin": lambda r: r["twin"]["upright"] < 1.0,
+        "joint ranges differ": lambda r: r["twin_ranges_differ"],
+        f"mass of the twin above x {middle:.2f}": lambda r: r["twin_mass_kg"] / r["mass_kg"] > middle,
+        "length differs by 1 mm or more": lambda r: r["twin_hull_shift_m"] >= 1e-3,
+    }
+    table = []
+    for name, test in tests.items():
+        sides: dict[bool, list[float]] = {True: [], False: []}
+        for ratio, row in found:
+            try:
+                sides[bool(test(row))].append(ratio)
+            except (KeyError, TypeError, ZeroDivisionError):
+                continue  # a row of an older version
+        medians = {side: float(np.median(values)) if values else math.nan for side, values in sides.items()}
+        table.append({"cause": name, "with": len(sides[True]), "median_with": medians[True],
+                      "without": len(sides[False]), "median_without": medians[False]})  # fmt: skip
+    return table
+
+
+def markdown(rows: Sequence[Row], result: dict[str, Any]) -> str:
+    """All results as text."""
+    known = with_gold(rows)
+    truth, robust = (np.array([value(row) for row in known]) for value in (gold, robust_gold))
+    lines = [
+        f"{len(known)} bodies. Gold, chosen beforehand: the best speed without exploration at any checkpoint of the "
+        f"long training, median {np.median(truth):.2f} m/s. Its rank correlation with the speed in randomised episodes "
+        f"at the end of the same training is {_text(rank(robust, truth))}: no rung can be expected to do much better. "
+        "Rungs \"PPO at\" are part of the training that gives the gold, which flatters them the more the later they "
+        f"are. Intervals: bootstrap over bodies, {RESAMPLES} resamples.", "",
+        "| fitness | bodies | CPU-s | rank correlation | 95 % | with randomised at the end |",
+        "|---|---:|---:|---:|---|---:|",
+    ]  # fmt: skip
+    lines += [f"| {e['rung']} | {e['bodies']} | {_text(e['cpu_s'], 1)} | {_text(e['rank'])} | {_text(e['low'])} to "
+              f"{_text(e['high'])} | {_text(e['rank_robust'])} |" for e in result["ladder"]]  # fmt: skip
+    return "\n".join([*lines, "", *_about_combination(result["combination"]), "", *_about_transfer(result["transfer"])])
+
+
+def _about_combination(c: dict[str, Any] | None) -> list[str]:
+    if c is None:
+        return ["Combinations of cheap numbers: too few bodies to choose on some and test on others."]
+    often = "; ".join(f"{name} ({share:.0%})" for name, share in c["chosen_most"])
+    low, middle, high = c["gain_quantiles"]
+    return [
+        f"Combinations of cheap numbers, means of ranks, {c['candidates']} candidates, {c['halves']} random halves of "
+        f"{c['bodies']} bodies: chosen on one half with a correlation of {c['selected_on']:.2f}, which on the other "
+        f"half is {c['tested_on']:.2f}; the thorough search for a gait has {c['baseline_tested_on']:.2f} there. The "
+        f"choice is better on {c['better_share']:.0%} of the halves, by {c['gain']:+.2f} on average (10 %, 50 %, 90 %: "
+        f"{low:+.2f}, {middle:+.2f}, {high:+.2f}).", "",
+        f"Chosen most: {often}. Chosen on all bodies, so not judged: {c['chosen_on_all']}, "
+        f"{_text(c['cpu_s'], 1)} CPU-s.",
+    ]  # fmt: skip
+
+
+def _about_transfer(moved: dict[str, Any]) -> list[str]:
+    lines = [
+        f"Virtual to twin, unchanged policy, {moved['bodies']} bodies, speed on the twin over speed before "
+        f"({moved['stand_still']} bodies stand still below {STANDS_STILL} m/s and {moved['lost']} lack one of the two; "
+        f"they are left out). {moved['at_least_0.8']} keep 0.8 or more.",
+    ]  # fmt: skip
+    if moved["bodies"]:
+        lines += ["", "| least | 10 % | 25 % | median | 75 % | 90 % | greatest |", "|---:|" + "---:|" * 6,
+                  "| " + " | ".join(_text(q) for q in moved["quantiles"]) + " |", "",
+                  "| what differs | bodies | median ratio | others | their median |",
+                  "|---|---:|---:|---:|---:|"]  # fmt: skip
+        lines += [f"| {g['cause']} | {g['with']} | {_text(g['median_with'])} | {g['without']} | "
+                  f"{_text(g['median_without'])} |" for g in moved["groups"]]  # fmt: skip
+        lines += ["", "The worst:", ""]
+        lines += [f"- {e['design']}: {e['ratio']:.2f}, {e['virtual_m_s']:.2f} to {e['twin_m_s']:.2f} m/s; "
+                  f"{', '.join(e['causes']) or 'nothing that the row tells'}" for e in moved["worst"]]  # fmt: skip
+    return lines
+
+
+def _text(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "?"
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it: what is not finite is null."""
+    match value:
+        case dict():
+            return {key: _plain(entry) for key, entry in value.items()}
+        case list() | tuple():
+            return [_plain(entry) for entry in value]
+        case float():
+            return value if math.isfinite(value) else None
+    return value
 
 
 def write_tables(folder: Path) -> str:
-    """Write ladder.md and ladder.json from bodies.jsonl, give the text.
+    """Write tables and pictures from bodies.jsonl, give the text.
 
     Raises:
         BadInput: if there are too few bodies.
     """
+    from experiments.fitness_pictures import ladder_picture, transfer_picture
     from experiments.fitness_study import read_rows
 
     rows = read_rows(folder / "bodies.jsonl")
-    text = markdown(rows) if len(rows) >= LEAST else ""
-    result = {"bodies": len(rows), "ladder": ladder(rows), "transfer": transfer(rows)}
+    found: dict[str, Any] = {
+        "bodies": len(rows),
+        "ladder": ladder(rows),
+        "combination": combination(rows),
+        "transfer": transfer(rows),
+    }
+    text = markdown(rows, found)
     (folder / "ladder.md").write_text(text + "\n", encoding="utf-8")
-    (folder / "ladder.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    (folder / "ladder.json").write_text(json.dumps(_plain(found), indent=2) + "\n", encoding="utf-8")
+    (folder / "ladder.png").write_bytes(ladder_picture(_plain(found["ladder"])))
+    (folder / "transfer.png").write_bytes(transfer_picture(found["transfer"]["ratios"]))
     return text
+
+
+def main() -> int:
+    """Write the tables of a study as far as it is."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.fitness_table", description=__doc__)
+    parser.add_argument("folder", type=Path, metavar="DIR", help="of the study")
+    try:
+        print(write_tables(parser.parse_args().folder))
+    except BadInput as trouble:
+        parser.error(str(trouble))
+    return DONE
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

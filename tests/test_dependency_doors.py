@@ -46,8 +46,8 @@ DOORS: dict[str, set[str]] = {
         "experiments/policy_config.py",
         "experiments/toml_text.py",
     },
-    "gymnasium": {"sim/gym_env.py"},
-    "stable_baselines3": {"sim/learning.py"},
+    "gymnasium": {"sim/gym_env.py", "experiments/bench_training.py"},
+    "stable_baselines3": {"sim/learning.py", "experiments/bench_training.py"},
     "tqdm": {"experiments/output.py"},
     "torch": {
         "decoder/examples.py",
@@ -57,6 +57,7 @@ DOORS: dict[str, set[str]] = {
         "decoder/room.py",
         "decoder/synthetic.py",
         "decoder/training.py",
+        "experiments/bench_training.py",
         "experiments/decoder_training.py",
         "experiments/doctor.py",
         "sim/learning.py",
