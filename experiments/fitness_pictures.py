@@ -49,4 +49,5 @@ def transfer_picture(ratios: Sequence[float]) -> bytes:
         axes.axvline(1.0, color=BEST, lw=1.2)
         axes.set_xlabel("speed on the twin over speed of the virtual robot", loc="right")
         axes.set_ylabel("bodies")
+        axes.locator_params(axis="y", integer=True)
         return png(figure)

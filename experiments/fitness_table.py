@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.fitness_combination import combination
+from experiments.fitness_combination import combinations
 from experiments.fitness_rungs import LEAST, RESAMPLES, Row, gold, interval, rank, robust_gold, rungs
 from experiments.output import DONE, BadInput
 
@@ -135,23 +135,32 @@ def markdown(rows: Sequence[Row], result: dict[str, Any]) -> str:
     ]  # fmt: skip
     lines += [f"| {e['rung']} | {e['bodies']} | {_text(e['cpu_s'], 1)} | {_text(e['rank'])} | {_text(e['low'])} to "
               f"{_text(e['high'])} | {_text(e['rank_robust'])} |" for e in result["ladder"]]  # fmt: skip
-    return "\n".join([*lines, "", *_about_combination(result["combination"]), "", *_about_transfer(result["transfer"])])
+    return "\n".join(
+        [*lines, "", *_about_combinations(result["combinations"]), "", *_about_transfer(result["transfer"])]
+    )
 
 
-def _about_combination(c: dict[str, Any] | None) -> list[str]:
-    if c is None:
+def _about_combinations(pools: list[dict[str, Any]]) -> list[str]:
+    if not pools:
         return ["Combinations of cheap numbers: too few bodies to choose on some and test on others."]
-    often = "; ".join(f"{name} ({share:.0%})" for name, share in c["chosen_most"])
-    low, middle, high = c["gain_quantiles"]
-    return [
-        f"Combinations of cheap numbers, means of ranks, {c['candidates']} candidates, {c['halves']} random halves of "
-        f"{c['bodies']} bodies: chosen on one half with a correlation of {c['selected_on']:.2f}, which on the other "
-        f"half is {c['tested_on']:.2f}; the thorough search for a gait has {c['baseline_tested_on']:.2f} there. The "
-        f"choice is better on {c['better_share']:.0%} of the halves, by {c['gain']:+.2f} on average (10 %, 50 %, 90 %: "
-        f"{low:+.2f}, {middle:+.2f}, {high:+.2f}).", "",
-        f"Chosen most: {often}. Chosen on all bodies, so not judged: {c['chosen_on_all']}, "
-        f"{_text(c['cpu_s'], 1)} CPU-s.",
+    first = pools[0]
+    lines = [
+        f"Cheap fitness chosen on one half of the bodies and tested on the other, {first['halves']} random halves of "
+        f"{first['bodies']}; combinations are means of ranks. On the halves for testing the thorough search's score "
+        f"has {first['baseline_tested_on']:.2f}.", "",
+        "| chosen among | candidates | where chosen | where tested | gain over the thorough search, 10 % to 90 % | "
+        "better |", "|---|---:|---:|---:|---|---:|",
     ]  # fmt: skip
+    for c in pools:
+        low, _, high = c["gain_quantiles"]
+        lines.append(f"| {c['pool']} | {c['candidates']} | {c['selected_on']:.2f} | {c['tested_on']:.2f} | "
+                     f"{c['gain']:+.2f}, {low:+.2f} to {high:+.2f} | {c['better_share']:.0%} |")  # fmt: skip
+    lines.append("")
+    for c in pools:
+        often = "; ".join(f"{name} ({share:.0%})" for name, share in c["chosen_most"])
+        lines.append(f"- {c['pool']}: chosen most {often}. On all bodies, so not tested: {c['chosen_on_all']}, "
+                     f"{_text(c['cpu_s'], 1)} CPU-s.")  # fmt: skip
+    return lines
 
 
 def _about_transfer(moved: dict[str, Any]) -> list[str]:
@@ -202,7 +211,7 @@ def write_tables(folder: Path) -> str:
     found: dict[str, Any] = {
         "bodies": len(rows),
         "ladder": ladder(rows),
-        "combination": combination(rows),
+        "combinations": combinations(rows),
         "transfer": transfer(rows),
     }
     text = markdown(rows, found)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.fitness_combination import combination
+from experiments.fitness_combination import combinations
 from experiments.fitness_rungs import BASELINE, gold, interval, rank
 from experiments.fitness_table import ladder, transfer, write_tables
 from experiments.output import BadInput
@@ -30,6 +30,11 @@ def body(k: int, rng: np.random.Generator, **changes: Any) -> dict[str, Any]:
         "twin_ranges_differ": False, "twin_mass_kg": 5.5, "twin_hull_shift_m": 0.0,
     }  # fmt: skip
     return row | changes
+
+
+@pytest.fixture(autouse=True)
+def few_halves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.fitness_combination.HALVES", 60)
 
 
 @pytest.fixture
@@ -97,12 +102,12 @@ def test_a_rung_that_no_body_has_is_no_line(rows: list[dict[str, Any]], tmp_path
 
 
 def test_a_choice_among_noise_looks_good_only_where_it_was_made(rows: list[dict[str, Any]]) -> None:
-    found = combination(rows)
-    assert found is not None
-    assert found["selected_on"] > 0.3
-    assert abs(found["tested_on"]) < 0.25
-    assert combination(rows) == found
-    assert combination(rows[:7]) is None
+    one, two, three = combinations(rows)
+    assert one["candidates"] < two["candidates"] < three["candidates"]
+    assert three["selected_on"] > 0.3
+    assert abs(three["tested_on"]) < 0.25
+    assert combinations(rows)[0] == one
+    assert combinations(rows[:7]) == []
 
 
 def test_a_combination_that_is_better_is_found(rows: list[dict[str, Any]]) -> None:
@@ -111,8 +116,8 @@ def test_a_combination_that_is_better_is_found(rows: list[dict[str, Any]]) -> No
     for row, off in zip(rows, noise, strict=True):  # two numbers, each half of the truth
         k = 100 * gold(row)
         row["screening"]["score"], row["thorough"]["score"] = k + off, k - off
-    found = combination(rows)
-    assert found is not None
+    alone, found, _ = combinations(rows)
+    assert alone["tested_on"] < found["tested_on"]
     assert found["tested_on"] > 0.9
     assert found["gain"] > 0.2
     assert {"open-loop gait, screening: score", BASELINE} <= set(found["chosen_on_all"].split(" + "))
