@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -259,7 +258,3 @@ class Environment:
         self._yaw[ids] = turned(self._standing, herd.qpos[ids, 3:7])[1]
         self._age[ids] = self._born[ids] = 0
         self._return[ids], self._said[ids] = 0.0, 0.0
-
-    def info(self) -> dict[str, Any]:
-        """What happened beside the task."""
-        return {"lost": self.lost}

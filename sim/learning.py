@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from sim.actor import Perceptron
 from sim.environment import Environment
-from sim.gym_env import WalkEnv, spaces_of
-from sim.model import Model
+from sim.gym_env import spaces_of
 from sim.observation import normaliser
-from sim.randomisation import RANDOMISED
 
 Array = NDArray[np.float64]
 
@@ -161,30 +158,6 @@ def ppo_on(vector: VecEnv, environment: Environment, settings: Ppo, seed: int) -
         },
         device="cpu", seed=seed,
     )  # fmt: skip
-
-
-def on_processes(model: Model, settings: Ppo, steps: int, seed: int) -> tuple[float, int]:
-    """Wall seconds and control periods of the same PPO on the library's SubprocVecEnv, a process per copy.
-
-    The experience of one update is what the batched learner gathers for one; what starts up is not counted.
-    """
-    from stable_baselines3.common.vec_env import SubprocVecEnv
-
-    torch.set_num_threads(1)
-    alike = replace(settings, horizon=USUAL.update // settings.copies)
-    vector = SubprocVecEnv([partial(_walk, model)] * settings.copies, start_method="spawn")
-    try:
-        ppo = ppo_on(vector, Environment(model, 1), alike, seed)
-        ppo.learn(alike.update)
-        before = time.perf_counter()
-        ppo.learn(steps)
-        return time.perf_counter() - before, ppo.num_timesteps
-    finally:
-        vector.close()
-
-
-def _walk(model: Model) -> Any:
-    return WalkEnv(model, randomisation=RANDOMISED)
 
 
 class Learner:
