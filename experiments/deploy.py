@@ -139,7 +139,8 @@ def bundle_of(description: Description, actor: Policy, *, dt: float = CONTROL_PE
                 max_speed=joint.motor.max_speed,
             )
         )
-    return Bundle(description.name, tuple(joints), actor, dt, config_hash=config_hash)
+    turn = description.T_link_imu[:3, :3]
+    return Bundle(description.name, tuple(joints), actor, dt, config_hash=config_hash, R_link_imu=turn)
 
 
 def _seconds(text: str) -> float:

@@ -2,14 +2,16 @@
 
     python -m experiments.fitness_study -n 30 --seed 0 --out DIR
 
-Every body is measured on each rung as a virtual robot, then its last policy is let loose on its twin, unchanged. A body
-is one line of DIR/bodies.jsonl, written when it is done, so that the study may be stopped and goes on where it was.
+Every body is measured on each rung as a virtual robot, then its best policy is let loose on its twin, unchanged. A body
+is one line of DIR/bodies.jsonl, written when it is done, so that the study may be stopped and goes on where it was; the
+line has the policy, too, in the form of a policy bundle, to measure it again elsewhere.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +51,7 @@ class Ladder:
         import numpy as np
 
         from decoder.latent import make_decoder
+        from hardware.actor_document import actor_document
         from mfg import pipeline
         from mfg.description import describe
         from sim.gaits import SCREENING, THOROUGH, search_gait
@@ -63,7 +66,8 @@ class Ladder:
             return None
         virtual = describe(bare.blueprint)
         model = with_latency_room(make_spec(virtual))
-        twin = with_latency_room(make_spec(describe(built.blueprint)))
+        seated = describe(built.blueprint)
+        twin = with_latency_room(make_spec(seated))
         row: dict[str, Any] = {
             "design": design.key, "joints": model.nu, "mass_kg": virtual.mass, "body_length_m": body_length(model),
         }  # fmt: skip
@@ -98,6 +102,8 @@ class Ladder:
         row["twin_ranges_differ"] = not np.allclose(model.jnt_range, twin.jnt_range, atol=1e-3)
         row["twin_mass_kg"] = float(twin.body_subtreemass[1])
         row["twin_hull_shift_m"] = abs(body_length(model) - body_length(twin))
+        row["twin_imu_link"], row["twin_imu_turn_rad"] = seated.imu_link, _angle(seated.T_link_imu[:3, :3])
+        row["policy"] = actor_document(trainer.best)
         return row
 
 
@@ -124,6 +130,11 @@ def episode(model: Model, actor: Any) -> dict[str, float] | None:
 def _numbers(behaviour: Behaviour) -> dict[str, float]:
     return {"speed": behaviour.speed, "distance": behaviour.distance, "upright": behaviour.upright,
             "seconds": behaviour.seconds, "overload": behaviour.overload}  # fmt: skip
+
+
+def _angle(R: np.ndarray) -> float:
+    """Of a rotation matrix [rad]."""
+    return math.acos(min(1.0, max(-1.0, (float(R.trace()) - 1.0) / 2.0)))
 
 
 def main() -> int:

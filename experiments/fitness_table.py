@@ -89,6 +89,8 @@ def causes(row: Row) -> list[str]:
         found.append(f"falls on the twin after {row['twin']['upright'] * row['twin'].get('seconds', 10.0):.1f} s")
     if row.get("twin_ranges_differ"):
         found.append("other joint ranges")
+    if row.get("twin_imu_link"):
+        found.append("IMU in another link")
     if "twin_mass_kg" in row and row.get("mass_kg"):
         found.append(f"mass x {row['twin_mass_kg'] / row['mass_kg']:.2f}")
     if row.get("twin_hull_shift_m", 0.0) >= 1e-3:
@@ -105,6 +107,8 @@ def _groups(found: Sequence[tuple[float, Row]]) -> list[dict[str, Any]]:
         "joint ranges differ": lambda r: r["twin_ranges_differ"],
         f"mass of the twin above x {middle:.2f}": lambda r: r["twin_mass_kg"] / r["mass_kg"] > middle,
         "length differs by 1 mm or more": lambda r: r["twin_hull_shift_m"] >= 1e-3,
+        "IMU turned in its link": lambda r: r["twin_imu_turn_rad"] > 1e-3,
+        "IMU in another link than the root": lambda r: r["twin_imu_link"] != 0,
     }
     table = []
     for name, test in tests.items():

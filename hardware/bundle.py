@@ -6,7 +6,7 @@ import json
 import math
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from hardware.actor_document import actor_document, parse_actor
 from hardware.document import BundleError as BundleError
-from hardware.document import number, numbers, read_json, record, same_names, shown, text
+from hardware.document import array, number, numbers, read_json, record, same_names, shown, text
 from sim.actor import Policy
 
-BUNDLE_VERSION = 1
+BUNDLE_VERSION = 2
 BUNDLE_FILE = "bundle.json"
 MODEL_FILE = "robot.xml"
 MESH_FOLDER = "meshes"
+TURN_ERROR = 1e-6  # of the products of a rotation's columns
 NUM_CAN_IDS = 16  # a motor id has 4 bits on the wire
 
 Array = NDArray[np.float64]
@@ -58,6 +59,7 @@ class Bundle:
     dt: float  # control period [s]
     time_constant: float = 0.0  # of the action low-pass, 0 for none [s]
     config_hash: str = ""  # of the configuration that produced it
+    R_link_imu: Array = field(default_factory=lambda: np.eye(3))  # the IMU's axes in those of its link, (3, 3)
 
     def __post_init__(self) -> None:
         if not self.joints:
@@ -74,6 +76,11 @@ class Bundle:
             raise BundleError(f"Control period dt must lie in (0, 1] s, got {self.dt}.")
         if not (math.isfinite(self.time_constant) and self.time_constant >= 0.0):
             raise BundleError(f"Low-pass time_constant must be finite and >= 0 s, got {self.time_constant}.")
+        R = np.array(self.R_link_imu, dtype=np.float64)
+        if R.shape != (3, 3) or not (np.abs(R.T @ R - np.eye(3)) <= TURN_ERROR).all() or np.linalg.det(R) < 0:
+            raise BundleError(f"R_link_imu must be a rotation matrix (3, 3), got {shown(R.tolist())}.")
+        R.setflags(write=False)
+        object.__setattr__(self, "R_link_imu", R)
         for joint in self.joints:
             _check_joint(joint)
 
@@ -88,8 +95,8 @@ class Bundle:
 
 
 def _check_joint(joint: JointSetup) -> None:
-    def refuse(field: str, bound: str) -> BundleError:
-        return BundleError(f"Joint {joint.name!r}: {field} must be {bound}, got {getattr(joint, field)!r}.")
+    def refuse(what: str, bound: str) -> BundleError:
+        return BundleError(f"Joint {joint.name!r}: {what} must be {bound}, got {getattr(joint, what)!r}.")
 
     if not 0 <= joint.can_id < NUM_CAN_IDS:
         raise refuse("can_id", "in 0..15")
@@ -100,17 +107,17 @@ def _check_joint(joint: JointSetup) -> None:
         raise refuse("range", "finite and increasing")
     if not low <= joint.default <= high:
         raise refuse("default", f"in its range [{low:.4g}, {high:.4g}] rad")
-    for field in ("kp", "kd"):
-        if not (math.isfinite(getattr(joint, field)) and getattr(joint, field) >= 0.0):
-            raise refuse(field, "finite and >= 0")
-    for field in ("peak_torque", "continuous_torque", "max_speed"):
-        if not (math.isfinite(getattr(joint, field)) and getattr(joint, field) > 0.0):
-            raise refuse(field, "finite and > 0")
+    for what in ("kp", "kd"):
+        if not (math.isfinite(getattr(joint, what)) and getattr(joint, what) >= 0.0):
+            raise refuse(what, "finite and >= 0")
+    for what in ("peak_torque", "continuous_torque", "max_speed"):
+        if not (math.isfinite(getattr(joint, what)) and getattr(joint, what) > 0.0):
+            raise refuse(what, "finite and > 0")
     if joint.continuous_torque > joint.peak_torque:
         raise refuse("continuous_torque", f"at most the peak torque {joint.peak_torque:.4g} N.m")
 
 
-_TOP_FIELDS = ("version", "design", "config_hash", "dt", "time_constant", "order", "joints", "actor")
+_TOP_FIELDS = ("version", "design", "config_hash", "dt", "time_constant", "R_link_imu", "order", "joints", "actor")
 _JOINT_NUMBERS = ("default", "kp", "kd", "peak_torque", "continuous_torque", "max_speed")
 _JOINT_FIELDS = ("can_id", "sign", "range", *_JOINT_NUMBERS)
 
@@ -146,6 +153,7 @@ def bundle_document(bundle: Bundle) -> dict[str, Any]:
         "config_hash": bundle.config_hash,
         "dt": bundle.dt,
         "time_constant": bundle.time_constant,
+        "R_link_imu": bundle.R_link_imu.tolist(),
         "order": list(bundle.names),
         "joints": {
             joint.name: {field: getattr(joint, field) for field in _JOINT_FIELDS} | {"range": list(joint.range)}
@@ -200,6 +208,7 @@ def parse_bundle(document: Any) -> Bundle:
         dt=number("dt", top["dt"]),
         time_constant=number("time_constant", top["time_constant"]),
         config_hash=text("config_hash", top["config_hash"]),
+        R_link_imu=array("R_link_imu", top["R_link_imu"], 2),
     )
 
 
@@ -221,8 +230,8 @@ def check_model(path: Path, bundle: Bundle) -> None:
 def _joint(name: str, document: Any) -> JointSetup:
     entry = record(f"joint {name!r}: fields", document, _JOINT_FIELDS)
     low, high = numbers(f"joint {name!r}: range", entry["range"], 2)
-    for field in ("can_id", "sign"):
-        if type(entry[field]) is not int:
-            raise BundleError(f"joint {name!r}: {field} must be a whole number, got {shown(entry[field])}.")
+    for what in ("can_id", "sign"):
+        if type(entry[what]) is not int:
+            raise BundleError(f"joint {name!r}: {what} must be a whole number, got {shown(entry[what])}.")
     values = {field: number(f"joint {name!r}: {field}", entry[field]) for field in _JOINT_NUMBERS}
     return JointSetup(name, entry["can_id"], entry["sign"], (low, high), **values)

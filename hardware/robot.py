@@ -24,6 +24,7 @@ from hardware.home import check_pose, measure_pose
 from hardware.j60 import Code, Command, Reply
 from hardware.safety import DEFAULT_LIMITS, Limits, Sample, Trip
 from sim.actor import Perceptron, low_pass, smooth_step
+from sim.observation import in_link_axes
 
 Array = NDArray[np.float64]
 Imu = tuple[Array, Array]  # gravity's direction (3,), angular velocity (3,) [rad/s], in the IMU frame
@@ -262,6 +263,7 @@ class Robot:
 
     def _observe(self, imu: Imu | None) -> Array:
         gravity, gyro = (np.full(3, np.nan), np.full(3, np.nan)) if imu is None else imu
+        gravity, gyro = in_link_axes(self.bundle.R_link_imu, gravity, gyro)
         layout, command = self.bundle.actor.layout, None
         if isinstance(self.bundle.actor, Perceptron) and layout.commanded:
             command = self.bundle.actor.command

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim.actor import Actor, Gait, Perceptron, low_pass, smooth_step
 from sim.herd import Herd
 from sim.model import Model, drive_of, model_name
-from sim.observation import ObservationLayout
+from sim.observation import ObservationLayout, in_link_axes
 from sim.randomisation import Draws, apply, nominal, push, pushed
 from sim.rollout import LEAD_IN, Rollouts, roll_out, root_quaternion, settle, turned
 
@@ -28,7 +28,10 @@ class Senses:
         self.observation = np.zeros((herd.count, layout.size))
 
     def frame(self, herd: Herd, rng: np.random.Generator | None = None) -> Array:
-        """One frame of every copy, (count, layout.frame_size), as biased as its draw says; `rng` adds the noise."""
+        """One frame of every copy, (count, layout.frame_size), as biased as its draw says; `rng` adds the noise.
+
+        What is wrong with an IMU is wrong in its own frame; then its readings are turned into its link's axes.
+        """
         gravity, gyro = herd.imu()
         draws = self.draws
         position, velocity = herd.positions + draws.encoder_offset, herd.velocities
@@ -44,6 +47,7 @@ class Senses:
         command = None
         if self.layout.commanded:
             command = np.broadcast_to(np.zeros(3) if self.command is None else self.command, (herd.count, 3))
+        gravity, gyro = in_link_axes(herd.R_link_imu, gravity, gyro)
         return self.layout.pack(gravity, gyro, position, velocity, self.previous, command)
 
     def begin(self, herd: Herd, ids: NDArray[np.intp]) -> None:

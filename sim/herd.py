@@ -57,6 +57,7 @@ class Herd:
         self._imu_body = int(model.site_bodyid[site]) if site >= 0 else 1
         turn = self.batch.bind("site_xmat" if site >= 0 else "xmat")
         self._imu_turn = turn[:, site if site >= 0 else 1].reshape(count, 3, 3)
+        self.R_link_imu = turn_of(model.site_quat[site]) if site >= 0 else np.eye(3)
         self._warned = np.zeros(count, dtype=np.int64)
 
     @property
@@ -122,3 +123,10 @@ class Herd:
 
     def _warnings(self) -> NDArray[np.int64]:
         return np.asarray(self.batch.warning[..., 1].sum(axis=1), dtype=np.int64)
+
+
+def turn_of(quaternion: Array) -> Array:
+    """The rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)

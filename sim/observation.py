@@ -19,10 +19,11 @@ COMMAND_SIZE = 3  # forward and left speed [m/s], yaw rate [rad/s], in the body'
 class ObservationLayout:
     """Where each quantity stands in the observation of a robot with `num_joints` joints.
 
-    A frame has 6 + 3 n numbers: gravity (unit vector in the IMU frame, pointing down), gyro [rad/s, IMU frame], joint
-    positions [rad], joint velocities [rad/s], previous action (the joint targets last commanded) [rad]; three more
-    where the policy takes a velocity command. Neither yaw nor base velocity is in it, because the robot cannot measure
-    them. With a history, the latest frame is followed by the ones before it, the oldest last.
+    A frame has 6 + 3 n numbers: gravity (unit vector pointing down) and gyro [rad/s], both in the axes of the link that
+    carries the IMU (`in_link_axes`), joint positions [rad], joint velocities [rad/s], previous action (the joint
+    targets last commanded) [rad]; three more where the policy takes a velocity command. Neither yaw nor base velocity
+    is in it, because the robot cannot measure them. With a history, the latest frame is followed by the ones before it,
+    the oldest last.
     """
 
     num_joints: int
@@ -134,6 +135,18 @@ class ObservationLayout:
         if vector.ndim == 0 or vector.shape[-1] != self.size:
             raise ValueError(f"An observation of {self.num_joints} joints has size {self.size}, got {vector.shape}.")
         return {name: vector[..., place] for name, place in self.slices.items()}
+
+
+def in_link_axes(R_link_imu: ArrayLike, gravity: ArrayLike, gyro: ArrayLike) -> tuple[Array, Array]:
+    """What an IMU reads, (..., 3) each in its own frame, in the axes of its link, whose pose the blueprint records.
+
+    A link's axes are the design's while the robot stands as it was built. Controller boxes sit as the room in the bone
+    allows, so the IMU's own axes say nothing about the body: a policy that reads them fits one seat of the box only.
+    """
+    # Not by matmul, whose last bit depends on how many robots are asked together.
+    R = np.asarray(R_link_imu, np.float64)
+    down, rate = (np.einsum("ij,...j->...i", R, np.asarray(value, np.float64)) for value in (gravity, gyro))
+    return down, rate
 
 
 @dataclass(frozen=True, eq=False, slots=True)

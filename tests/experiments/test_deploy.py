@@ -273,7 +273,7 @@ def edit_gain(policy: Path) -> None:
         (lambda p: (p / "robot.xml").unlink(), "has no robot.xml to rehearse with"),
         (lambda p: (p / "robot.xml").write_text("<mujoco><worldbody/></mujoco>"), "missing"),
         (lambda p: (p / "robot.xml").write_text("no xml"), "is not an MJCF file"),
-        (edit_version, "version must be 1, got 99"),
+        (edit_version, "version must be 2, got 99"),
         (edit_gain, "the wire makes kp 40, kd 1.5 into kp 40, kd 1.4"),
     ],
 )

@@ -41,9 +41,11 @@ def corrupt(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
 
 
 def test_bundle_round_trip_is_exact(tmp_path: Path) -> None:
-    original = bundle()
+    c, s = np.cos(0.3), np.sin(0.3)
+    original = bundle(R_link_imu=np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
     save_bundle(tmp_path / "b", original)
     loaded = load_bundle(tmp_path / "b")
+    np.testing.assert_array_equal(loaded.R_link_imu, original.R_link_imu)
     assert loaded.joints == original.joints
     assert (loaded.design, loaded.dt, loaded.time_constant, loaded.config_hash) == ("d" * 16, 0.02, 0.05, "abc")
     assert loaded.actor.frequency == original.actor.frequency
@@ -73,7 +75,7 @@ def rename_joint(document: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.update(version=2), "version must be 1, got 2"),
+        (lambda d: d.update(version=1), "version must be 2, got 1"),
         (lambda d: d.pop("dt"), r"missing \['dt'\]"),
         (lambda d: d.update(extra=1), r"unknown \['extra'\]"),
         (rename_joint, r"missing \['knee'\], unknown \['elbow'\]"),
@@ -85,6 +87,10 @@ def rename_joint(document: dict[str, Any]) -> None:
         (lambda d: d.update(dt=10**400), "dt must be a finite number"),
         (lambda d: d.update(dt=0.0), r"dt must lie in \(0, 1\]"),
         (lambda d: d.update(time_constant=-1), "time_constant"),
+        (lambda d: d.update(R_link_imu=[1, 0, 0]), "R_link_imu must be a matrix"),
+        (lambda d: d.update(R_link_imu=[[1, 0], [0, 1]]), r"R_link_imu must be a rotation matrix \(3, 3\)"),
+        (lambda d: d["R_link_imu"][0].reverse(), "R_link_imu must be a rotation matrix"),
+        (lambda d: d.update(R_link_imu=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "R_link_imu must be a rotation matrix"),
         (lambda d: d["joints"]["hip"].update(can_id=16), r"'hip': can_id must be in 0..15, got 16"),
         (lambda d: d["joints"]["hip"].update(can_id=2), "share a can_id"),
         (lambda d: d["joints"]["hip"].update(sign=0), "sign must be"),

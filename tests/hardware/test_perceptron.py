@@ -55,13 +55,17 @@ def test_a_bundle_that_was_saved_drives_and_plays_back(
 
 def test_it_sees_exactly_what_the_ticks_say(make_rig: Make, bundle: Bundle) -> None:
     actor = perceptron(3, history=3, command=(0.2, 0.0, -0.1), actions=action_map(3, blend=0.4, step=0.05))
-    _, ticks = run(make_rig(replace(bundle, actor=actor)))
+    seated = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])  # the IMU's x is the body's z
+    _, ticks = run(make_rig(replace(bundle, actor=actor, R_link_imu=seated)))
     layout, seen, default = actor.layout, None, bundle.column("default")
     before = next(tick for tick in reversed(ticks) if tick.state is State.HOLD)
     low, high = bundle.column("range").T
     for tick in policy_of(ticks):
         assert tick.imu is not None
-        frame = layout.pack(*tick.imu, before.position, before.velocity, before.target, actor.command)
+        gravity, gyro = tick.imu
+        frame = layout.pack(
+            seated @ gravity, seated @ gyro, before.position, before.velocity, before.target, actor.command
+        )
         seen = layout.begin(frame) if seen is None else layout.push(seen, frame)
         seconds = (tick.index - policy_of(ticks)[0].index) * bundle.dt
         x = min(seconds / 0.5, 1.0)

@@ -123,7 +123,8 @@ def test_a_rollout_is_a_plain_loop_of_looking_and_stepping(model: Model) -> None
         rate = np.zeros(6)
         mujoco.mj_objectVelocity(model, look, mujoco.mjtObj.mjOBJ_SITE, site, rate, 1)
         gravity = look.site_xmat[site].reshape(3, 3).T @ [0.0, 0.0, -1.0]
-        frame = layout.pack(gravity, rate[:3], look.qpos[7:], look.qvel[6:], previous)
+        seated = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # of the quadruped's IMU
+        frame = layout.pack(seated @ gravity, seated @ rate[:3], look.qpos[7:], look.qvel[6:], previous)
         seen = layout.begin(frame) if seen is None else layout.push(seen, frame)
         previous = smooth_step(k * CONTROL_PERIOD / LEAD_IN) * np.clip(WALK.act(0.0, seen), low, high)
         data.ctrl[:] = previous
@@ -173,8 +174,20 @@ def test_a_gyro_that_is_biased_and_a_crooked_imu_say_so(model: Model) -> None:
     layout = ObservationLayout(4)
     gravity, gyro = herd.imu()
     parts = layout.unpack(Senses(herd, layout, draws).frame(herd))
-    assert_allclose(parts["gravity"][0], turn[0] @ gravity[0], atol=1e-12)
-    assert_allclose(parts["gyro"][0], turn[0] @ gyro[0] + [0.1, 0.2, 0.3], atol=1e-12)
+    assert_allclose(parts["gravity"][0], herd.R_link_imu @ turn[0] @ gravity[0], atol=1e-12)
+    assert_allclose(parts["gyro"][0], herd.R_link_imu @ (turn[0] @ gyro[0] + [0.1, 0.2, 0.3]), atol=1e-12)
+
+
+def test_a_policy_does_not_care_how_the_box_with_the_imu_is_turned(quadruped: Description) -> None:
+    walks = []
+    for turn in np.eye(3), np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]), np.diag([-1.0, -1, 1]):
+        T = quadruped.T_link_imu.copy()
+        T[:3, :3] = turn
+        robot = compile_model(replace(quadruped, T_link_imu=T))
+        walks.append(roll_out_actor(robot, WALK, 2.0).qpos)
+    assert np.abs(walks[0] - walks[0][:, :1]).max() > 0.02  # it moves
+    assert_allclose(walks[1], walks[0], rtol=0, atol=1e-5)
+    assert_allclose(walks[2], walks[0], rtol=0, atol=1e-5)
 
 
 def test_noise_is_white_of_the_stated_strength_and_spares_what_is_not_measured(model: Model) -> None:
