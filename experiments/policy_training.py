@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +20,13 @@ from experiments.run_folder import CHECKPOINT, CONFIG, RESULT, check_folder, kee
 if TYPE_CHECKING:
     from experiments.policy_config import Policy
     from mfg.description import Description
+    from sim.environment import Explosion
     from sim.model import Model
     from sim.training import Chunk, Start, Trainer
 
 Array = NDArray[np.float64]
 
-STATE = "training.npz"
+STATE, EXPLOSIONS = "training.npz", "explosions"
 BLUEPRINT, EVENTS, VIDEO, STRIP, PAGE = "blueprint", "events", "walk.mp4", "walk.png", "behaviour.html"
 GAIT, FINAL = 3, 4  # purposes of randomness beside those of `sim.training`
 EPISODE = 20.0  # of the closing measurement [s]
@@ -155,11 +157,26 @@ def _restored(config: Policy, model: Model, workers: int, mark: Path) -> Trainer
 def _chunks(trainer: Trainer, mark: Path, events: Events) -> Any:
     """Advance to the last chunk; each is on the disk before it counts."""
     while trainer.done < trainer.training.chunks:
+        lost = trainer.environment.lost
+        kept = len(trainer.environment.explosions)
         chunk = trainer.advance()
+        keep_explosions(trainer.environment.explosions[kept:], mark.parent.parent / EXPLOSIONS, chunk.index)
         write_state(mark, trainer.state())
-        events(chunk.steps, curves(chunk))
+        events(chunk.steps, curves(chunk) | {"episodes/exploded": trainer.environment.lost - lost})
         say(told(chunk))
+        if trainer.environment.lost > lost:
+            say(
+                f"  the physics of {trainer.environment.lost - lost} robots was lost; their states are in {EXPLOSIONS}/"
+            )
         yield chunk
+
+
+def keep_explosions(explosions: Sequence[Explosion], folder: Path, chunk: int) -> None:
+    """Write down in which state and under which targets physics was lost, to look into it; nothing if it was not."""
+    if explosions:
+        states = {f"{k}/state": explosion.state for k, explosion in enumerate(explosions)}
+        targets = {f"{k}/targets": explosion.targets for k, explosion in enumerate(explosions)}
+        write_state(folder / f"chunk_{chunk:04}.npz", states | targets)
 
 
 def curves(chunk: Chunk) -> dict[str, float]:

@@ -23,7 +23,7 @@ from hardware.bus import Clock, MotorBus, MotorFault
 from hardware.home import check_pose, measure_pose
 from hardware.j60 import Code, Command, Reply
 from hardware.safety import DEFAULT_LIMITS, Limits, Sample, Trip
-from sim.actor import Perceptron, low_pass, smooth_step
+from sim.actor import Gait, Perceptron, low_pass, smooth_step
 from sim.observation import in_link_axes
 
 Array = NDArray[np.float64]
@@ -111,6 +111,7 @@ class Robot:
         self._sign = bundle.column("sign")
         self._entered = 0  # index of the tick that entered the state
         self._last_index = -1
+        self._looked = -1  # index of the last tick that measured before it chose
         self._position = np.full(n, np.nan)
         self._velocity = np.full(n, np.nan)
         self._torque = np.full(n, np.nan)
@@ -251,6 +252,10 @@ class Robot:
         else:
             if seconds == 0.0 and imu is not None:
                 self._upright = imu[0]
+            if not isinstance(self.bundle.actor, Gait):
+                # What it sees is measured now, by asking for the same once more, as it was when it was trained.
+                self._measure(self._bus.sweep(self._commands(), self.bundle.dt / 4), index)
+                self._looked = index
             action = self.bundle.actor.act(seconds, self._observe(imu))
             trip = safety.check_action(action, self.bundle.names)
             if trip is not None:
@@ -277,8 +282,9 @@ class Robot:
             return dict.fromkeys(self._ids, Command(kd=self.schedule.damping_gain))
         if self.state not in (State.RAMP, State.HOLD, State.POLICY):
             return dict.fromkeys(self._ids, Command())
-        # The last replies came a period ago. Judged from there, a moving joint would be held back for no reason.
-        position = self._position + self._velocity * self.bundle.dt
+        # Where the last replies came a period ago, a moving joint judged from there would be held back for no reason.
+        ahead = 0.0 if self._looked == self._last_index else self.bundle.dt
+        position = self._position + self._velocity * ahead
         safe = safety.within_torque(self._target, position, self._velocity, self.bundle)
         share = safety.derating(self._hottest(), self.limits)
         return {

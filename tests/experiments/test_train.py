@@ -13,11 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from bodies import ellipsoid, painted
 
 from experiments import cli
+from experiments.policy_training import keep_explosions
 from hardware.bundle import load_bundle
+from sim.environment import Explosion
 
 ROOT = Path(cli.__file__).parent.parent
 TRIPOD = ROOT / "experiments" / "examples" / "tripod.vox"
@@ -78,6 +81,16 @@ def test_the_folder_is_a_bundle_and_says_what_was_measured(trained: Path) -> Non
     assert list((trained / "events").iterdir())
     left = {"walk.png", "behaviour.html", "robot.xml", "meshes", "config.toml", "checkpoint"}
     assert left <= {path.name for path in trained.iterdir()}
+
+
+def test_states_in_which_physics_was_lost_are_written_down(tmp_path: Path) -> None:
+    lost = [Explosion(np.arange(5.0) + k, np.array([0.1, 0.2]), "a reason") for k in range(2)]
+    keep_explosions([], tmp_path / "none", 0)
+    assert not (tmp_path / "none").exists()
+    keep_explosions(lost, tmp_path / "some", 7)
+    with np.load(tmp_path / "some" / "chunk_0007.npz") as kept:
+        assert sorted(kept.files) == ["0/state", "0/targets", "1/state", "1/targets"]
+        np.testing.assert_array_equal(kept["1/state"], lost[1].state)
 
 
 def test_simulate_and_a_dry_run_take_it(bodyplan: Callable[..., Any], trained: Path, blueprint: Path) -> None:

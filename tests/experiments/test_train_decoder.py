@@ -303,6 +303,15 @@ def test_a_finished_training_is_not_touched(fake, tmp_path):
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "run").rglob("*")} == before
 
 
+@pytest.fixture
+def python_minds_ctrl_c():
+    """Tests that run in the background of a shell inherit that Ctrl-C is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("python_minds_ctrl_c")
 def test_the_first_ctrl_c_finishes_the_step_and_the_second_does_not_wait(fake, tmp_path, capsys):
     fake.before_step = staticmethod(lambda step: os.kill(os.getpid(), signal.SIGINT) if step == 6 else None)
     (tmp_path / "run").mkdir()

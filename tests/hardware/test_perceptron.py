@@ -63,9 +63,7 @@ def test_it_sees_exactly_what_the_ticks_say(make_rig: Make, bundle: Bundle) -> N
     for tick in policy_of(ticks):
         assert tick.imu is not None
         gravity, gyro = tick.imu
-        frame = layout.pack(
-            seated @ gravity, seated @ gyro, before.position, before.velocity, before.target, actor.command
-        )
+        frame = layout.pack(seated @ gravity, seated @ gyro, tick.position, tick.velocity, before.target, actor.command)
         seen = layout.begin(frame) if seen is None else layout.push(seen, frame)
         seconds = (tick.index - policy_of(ticks)[0].index) * bundle.dt
         x = min(seconds / 0.5, 1.0)
