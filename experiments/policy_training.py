@@ -48,6 +48,7 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     import json
 
     from experiments.config import config_hash
+    from sim.learning import Unlearnable
     from sim.training import Trainer
 
     check_folder(config, folder)
@@ -67,8 +68,11 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     else:
         trainer = Trainer(model, config.training(), _start(config, model, workers), nthread=workers)
     with event_file(folder / EVENTS, min(trainer.done * config.chunk, config.steps)) as events:
-        for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
-            pass
+        try:
+            for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
+                pass
+        except Unlearnable as error:
+            raise Impossible(str(error)) from None
     return _conclude(config, folder, source, description, model, trainer, config_hash(config))
 
 

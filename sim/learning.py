@@ -23,6 +23,10 @@ from sim.observation import normaliser
 Array = NDArray[np.float64]
 
 
+class Unlearnable(RuntimeError):
+    """A training came to nothing; the message says why."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ppo:
     """Settings of the learner.
@@ -42,7 +46,7 @@ class Ppo:
 
     copies: int = 64
     horizon: int = 32
-    epochs: int = 5
+    epochs: int = 4
     minibatch: int = 512
     learning_rate: float = 7e-4
     gamma: float = 0.99
@@ -146,6 +150,8 @@ class Normalise(BaseFeaturesExtractor):  # type: ignore[misc]
 def ppo_on(vector: VecEnv, environment: Environment, settings: Ppo, seed: int) -> PPO:
     """The library's PPO on any vector of environments like this one."""
     centre, gain = normaliser(environment.layout, environment.map)
+    # Checking the arguments of every distribution costs as much as evaluating it; `Learner.learn` looks at the result.
+    torch.distributions.Distribution.set_default_validate_args(False)
     return PPO(
         "MlpPolicy", vector, learning_rate=settings.learning_rate, n_steps=settings.horizon,
         batch_size=min(settings.minibatch, settings.update), n_epochs=settings.epochs, gamma=settings.gamma,
@@ -155,6 +161,7 @@ def ppo_on(vector: VecEnv, environment: Environment, settings: Ppo, seed: int) -
             "activation_fn": torch.nn.Tanh, "log_std_init": float(np.log(settings.spread)),
             "features_extractor_class": Normalise,
             "features_extractor_kwargs": {"centre": centre.tolist(), "gain": gain.tolist()},
+            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps as the library has it
         },
         device="cpu", seed=seed,
     )  # fmt: skip
@@ -175,7 +182,11 @@ class Learner:
     def learn(
         self, steps: int, rng: np.random.Generator, learning_rate: float, spread: float
     ) -> tuple[dict[str, float], float]:
-        """Gather and learn for at least `steps` control periods from a fresh reset; gives curves and CPU seconds."""
+        """Gather and learn for at least `steps` control periods from a fresh reset; gives curves and CPU seconds.
+
+        Raises:
+            Unlearnable: if the policy's weights are no numbers any more.
+        """
         ppo, vector = self.ppo, self._vector
         set_random_seed(int(rng.integers(2**31)))
         vector.begin(rng)
@@ -185,6 +196,11 @@ class Learner:
         before = time.process_time()
         ppo.learn(steps, reset_num_timesteps=True)
         seconds = time.process_time() - before
+        if not all(bool(torch.isfinite(value).all()) for value in ppo.policy.state_dict().values()):
+            raise Unlearnable(
+                f"learning diverged: the policy's weights are no numbers any more at a learning rate of "
+                f"{learning_rate:g}; try a smaller one, or another seed"
+            )
         return vector.curves() | {"spread": spread, "learning_rate": learning_rate}, seconds
 
     def exported(self, command: tuple[float, ...] = ()) -> Perceptron:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.actor import Actor, Gait, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
-from sim.learning import USUAL, Learner, Ppo
+from sim.learning import USUAL, Learner, Ppo, Unlearnable
 from sim.model import Model
 from sim.randomisation import RANDOMISED, Randomisation, draw
 from sim.rollout import Behaviour, measure, settle
@@ -278,7 +278,10 @@ class Race:
         curves: Mapping[str, float] = {}
         for index in range(3):
             rng = np.random.default_rng(np.random.SeedSequence(self.training.seed, spawn_key=(RACE, index)))
-            curves, _ = learner.learn(third, rng, rate, spread)
+            try:
+                curves, _ = learner.learn(third, rng, rate, spread)
+            except Unlearnable:
+                return 0.0
         return curves["speed"] / SCALE / 2.0
 
 

@@ -12,7 +12,7 @@ import torch
 from mfg.description import Description
 from sim.actor import Gait
 from sim.herd import with_latency_room
-from sim.learning import USUAL
+from sim.learning import USUAL, Unlearnable
 from sim.model import make_spec
 from sim.training import Race, Start, Trainer, Training, evaluate, headings, start_of, starts
 
@@ -116,6 +116,15 @@ def test_candidates_are_the_gait_and_free_headings_all_around() -> None:
     angles = np.array(headings(3.0, 3))
     assert (np.abs(angles) <= np.pi).all()
     np.testing.assert_allclose(np.exp(1j * angles).sum(), 0, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore")  # numpy and torch say on the way what becomes of such numbers
+def test_learning_that_diverges_says_so_and_loses_a_race(model: Any) -> None:
+    wild = replace(SMALL, ppo=replace(SMALL.ppo, learning_rate=1e38))
+    trainer = Trainer(model, wild, Start(0.0, np.zeros(model.nu)))
+    with pytest.raises(Unlearnable, match="no numbers any more at a learning rate of 1e\\+38"):
+        trainer.advance()
+    assert Race(model, wild, 192)(Start(0.0, np.zeros(model.nu))) == 0.0
 
 
 def test_a_race_is_repeatable(model: Any) -> None:
