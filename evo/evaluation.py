@@ -43,7 +43,7 @@ class Walk:
 
     Attributes:
         gait: that gait.
-        task: task fitness [m/s]: what the gait search maximises, `sim.gaits.score`.
+        task: task fitness [m/s]: what the gait search maximises, `sim.gaits.score`, or what a policy learns after it.
         speed: along the best heading of the body [m/s], as `sim.rollout.Behaviour` defines it.
         heading: that heading, from the body's x axis [rad].
         distance: net horizontal displacement within the episode [m].

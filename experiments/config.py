@@ -20,6 +20,7 @@ from experiments.policy_config import Policy
 from experiments.toml_text import flat, toml_table, toml_value
 
 if TYPE_CHECKING:
+    from evo.evaluate import Learning as Rung
     from evo.fitness import FitnessRule
     from sim.gaits import GaitBudget
 
@@ -114,6 +115,26 @@ class ThoroughGait(Gait, frozen=True, forbid_unknown_fields=True):
     seconds: Seconds = 6.0
 
 
+class Learning(Struct, frozen=True, forbid_unknown_fields=True):
+    """Short trainings of a policy on every body whose gait earns them, see `evo.evaluate.Learning`.
+
+    Attributes:
+        steps: control periods of each, 0 for none.
+        starts: how many compete on a body.
+        least: score of a gait that earns them [m/s].
+    """
+
+    steps: Annotated[int, Meta(ge=0, le=100_000_000)] = 0
+    starts: Annotated[int, Meta(ge=1, le=64)] = 4
+    least: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.02
+
+    def rung(self) -> Rung | None:
+        """As evolution wants it."""
+        from evo.evaluate import Learning
+
+        return Learning(self.steps, self.starts, self.least) if self.steps else None
+
+
 class Finals(Struct, frozen=True, forbid_unknown_fields=True):
     """The last round, on twins.
 
@@ -142,6 +163,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
         search: the optimiser.
         fitness: the rule.
         gait: budget of every evaluation.
+        learning: what follows the gait, in every evaluation and in the last round.
         finals: the last round.
     """
 
@@ -156,6 +178,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     search: Search = Search()
     fitness: Fitness = Fitness()
     gait: Gait = Gait()
+    learning: Learning = Learning()
     finals: Finals = Finals()
 
 

@@ -118,7 +118,8 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(OPTIMISER,)))
     optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma, start=search.start)
     parts = catalogue_of(config.catalogue)
-    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), parts)
+    learning = config.learning.rung()
+    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), parts, learning)
     total = search.generations * search.popsize - record.count()
     if total:
         say(f"{total} evaluations to go: {search.generations} generations of {search.popsize}, {workers} workers")
@@ -129,7 +130,7 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
                 pass
     except ResumeError as error:
         raise BadInput(f"{folder}: {error}") from None
-    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), parts)
+    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), parts, learning)
     with Pool[Evaluation, Evaluation](twin, workers, config.timeout) as pool:
         left = config.finals.heat - record.count("finals")
         for _ in progress(finals(record, pool, config.finals.heat), left if left > 0 else None, "finals"):

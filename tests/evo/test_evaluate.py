@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from decoder.latent import sample_latents
 from evo import evaluate as module
-from evo.evaluate import Evaluate, EvaluateTwin
+from evo.evaluate import Evaluate, EvaluateTwin, Learning
 from evo.evaluation import Candidate, Evaluation
 from evo.fitness import FitnessRule
 from evo.pool import Pool
@@ -63,6 +65,21 @@ def test_verdict_and_scores_are_the_pipeline_s(evaluations: list[Evaluation]) ->
         outcome = pipeline.score(module.decode("genome", evaluation.candidate))
         assert evaluation.failure == outcome.failure
         assert evaluation.scores == outcome.scores
+
+
+def test_a_body_that_earns_it_is_judged_by_what_a_policy_learns(evaluations: list[Evaluation]) -> None:
+    passed = max((e for e in evaluations if e.walk), key=lambda e: e.walk.task if e.walk else 0.0)
+    assert passed.walk is not None
+    learning = Learning(steps=6144, starts=2, least=passed.walk.task)
+    found = replace(EVALUATE, learning=learning)(passed.candidate)
+    assert found.walk is not None
+    assert found.walk.task != passed.walk.task
+    assert found.fitness == FitnessRule().fitness(found.walk.task, found.scores)
+    assert (found.walk.speed, found.walk.heading) == (passed.walk.speed, passed.walk.heading)  # those of the gait
+    assert same(found, replace(EVALUATE, learning=learning)(passed.candidate))
+    unearned = replace(EVALUATE, learning=replace(learning, least=1.001 * passed.walk.task))(passed.candidate)
+    assert same(unearned, passed)
+    assert "learning" in found.stages
 
 
 def test_the_fitness_is_the_rule_s(evaluations: list[Evaluation]) -> None:
