@@ -67,6 +67,7 @@ class Evaluate:
         budget: of the gait search.
         catalogue: of parts.
         learning: that follows the gait, or None.
+        solver: rules of the pipeline.
     """
 
     seed: int
@@ -75,13 +76,14 @@ class Evaluate:
     budget: GaitBudget = SCREENING
     catalogue: Catalogue = PAPER
     learning: Learning | None = None
+    solver: pipeline.Rules = "paper"
 
     def __call__(self, candidate: Candidate) -> Evaluation:
         """Decode, score without exact solids, and search a gait from nothing."""
         stages: dict[str, float] = {}
         with _timed(stages, "decode"):
             design = decode(self.decoder, candidate)
-        outcome = pipeline.score(design, self.catalogue)
+        outcome = pipeline.score(design, self.catalogue, self.solver)
         stages |= outcome.seconds
         if not outcome.ok:
             return Evaluation(candidate, design.key, outcome.scores, outcome.failure, stages=stages)
@@ -107,6 +109,7 @@ class EvaluateTwin:
         budget: of the gait search; its last measurement decides whether the body walks.
         catalogue: of parts.
         learning: that follows the gait, or None.
+        solver: rules of the pipeline.
     """
 
     seed: int
@@ -115,6 +118,7 @@ class EvaluateTwin:
     budget: GaitBudget = THOROUGH
     catalogue: Catalogue = PAPER
     learning: Learning | None = None
+    solver: pipeline.Rules = "paper"
 
     def __call__(self, screened: Evaluation) -> Evaluation:
         """Decode, build exact solids, and refine the gait on the twin.
@@ -128,7 +132,7 @@ class EvaluateTwin:
         stages: dict[str, float] = {}
         with _timed(stages, "decode"):
             design = decode(self.decoder, candidate)
-        outcome = pipeline.build(design, self.catalogue)
+        outcome = pipeline.build(design, self.catalogue, self.solver)
         stages |= outcome.seconds
         if not outcome.ok:
             return Evaluation(candidate, design.key, outcome.scores, outcome.failure, stages=stages)

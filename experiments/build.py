@@ -43,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
     # Made before the work, so that a folder that cannot be written to is found at once.
     existed = args.out.is_dir()
     folder = make_folder(args.out)
-    outcome = build(design, catalogue_of(args.catalogue))
+    outcome = build(design, catalogue_of(args.catalogue), args.solver)
     if not outcome.ok:
         if not existed:
             folder.rmdir()

@@ -119,7 +119,7 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
     optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma, start=search.start)
     parts = catalogue_of(config.catalogue)
     learning = config.learning.rung()
-    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), parts, learning)
+    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), parts, learning, config.solver)
     total = search.generations * search.popsize - record.count()
     if total:
         say(f"{total} evaluations to go: {search.generations} generations of {search.popsize}, {workers} workers")
@@ -130,7 +130,7 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
                 pass
     except ResumeError as error:
         raise BadInput(f"{folder}: {error}") from None
-    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), parts, learning)
+    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), parts, learning, config.solver)
     with Pool[Evaluation, Evaluation](twin, workers, config.timeout) as pool:
         left = config.finals.heat - record.count("finals")
         for _ in progress(finals(record, pool, config.finals.heat), left if left > 0 else None, "finals"):
@@ -162,7 +162,8 @@ def _conclude(config: Evolve, record: Record, folder: Path) -> dict[str, Any]:
         if champion.walk is None:
             continue  # never so: a winner walks.
         say("writing the winner's blueprint, policy, video and dry run")
-        outcome = build(decode(config.decoder, champion.candidate), catalogue_of(config.catalogue))
+        design = decode(config.decoder, champion.candidate)
+        outcome = build(design, catalogue_of(config.catalogue), config.solver)
         best = write_best(
             folder / BEST, outcome, champion.walk.gait, config_hash(config), config.film, must_walk=True
         )  # fmt: skip
@@ -208,7 +209,7 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
                 raise BadInput(f"{config.design} has changed since {folder} was made of it; choose another --out")
             return result
         keep_config(config, folder)
-        outcome = build(design, catalogue_of(config.catalogue))
+        outcome = build(design, catalogue_of(config.catalogue), config.solver)
         result = {"kind": "sketch", "out": str(folder), **outcome.to_json(str(folder)), "winner": None}
         trouble = None if outcome.failure is None else f"cannot be built: {outcome.failure}"
         if outcome.ok:

@@ -32,7 +32,7 @@ def main(args: argparse.Namespace) -> int:
     width = max(len(str(path)) for path in args.designs)
     verdicts: list[dict[str, Any]] = []
     for path in args.designs:
-        outcome = score(read_design(path), parts)
+        outcome = score(read_design(path), parts, args.solver)
         verdicts.append({"file": str(path), **outcome.to_json(None)})
         if not args.json:
             print(f"{path!s:{width}}  {_line(outcome)}")

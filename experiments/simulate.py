@@ -127,8 +127,8 @@ def _model(args: argparse.Namespace, level: str) -> Model | None:
     from mfg.description import FULL_HULL, HULL_VERTICES, describe
 
     design = read_design(path)
-    solve = pipeline.virtual if virtual else pipeline.score
-    outcome = solve(design, catalogue_of(args.catalogue))
+    parts = catalogue_of(args.catalogue)
+    outcome = pipeline.virtual(design, parts) if virtual else pipeline.score(design, parts, args.solver)
     if not outcome.ok:
         hint = "" if virtual else "; --virtual simulates it all the same"
         say(f"bodyplan: {path} cannot be built: {outcome.failure}{hint}")

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from evo.evaluation import Candidate, Evaluation
     from evo.record import Record
     from experiments.config import Study
-    from mfg.pipeline import Outcome
+    from mfg.pipeline import Outcome, Rules
 
 HELP = "pass-through table, score histogram and failure map of random bodies"
 
@@ -62,6 +62,7 @@ class Score:
 
     decoder: str
     catalogue: str
+    solver: Rules = "paper"
 
     def __call__(self, candidate: Candidate) -> Evaluation:
         """Verdict and scores without exact solids."""
@@ -77,7 +78,9 @@ class Score:
         from experiments.build import catalogue_of
         from mfg.pipeline import score
 
-        return score(_decoder(self.decoder).decode(candidate.latent[None])[0], catalogue_of(self.catalogue))
+        return score(
+            _decoder(self.decoder).decode(candidate.latent[None])[0], catalogue_of(self.catalogue), self.solver
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +89,13 @@ class Draw:
 
     decoder: str
     catalogue: str
+    solver: Rules = "paper"
 
     def __call__(self, candidate: Candidate) -> NDArray[np.uint8]:
         """A picture of its blueprint, or of the design where not even a skeleton came of it."""
         from mfg.picture import picture_of_blueprint, picture_of_design
 
-        outcome = Score(self.decoder, self.catalogue).outcome(candidate)
+        outcome = Score(self.decoder, self.catalogue, self.solver).outcome(candidate)
         if not outcome.blueprint.bodies:
             return picture_of_design(outcome.design, PICTURE)
         return picture_of_blueprint(outcome.blueprint, PICTURE)
@@ -171,7 +175,7 @@ def _score_all(config: Study, record: Record, workers: int) -> None:
     if not missing:
         return
     say(f"{len(missing)} bodies to go, {workers} workers")
-    with Pool[Candidate, Evaluation](Score(config.decoder, config.catalogue), workers, TIMEOUT) as pool:
+    with Pool[Candidate, Evaluation](Score(config.decoder, config.catalogue, config.solver), workers, TIMEOUT) as pool:
         for candidate, answer, seconds in progress(pool.run(missing), len(missing), "scoring"):
             evaluation = Evaluation(candidate, failure=answer) if isinstance(answer, Failure) else answer
             record.add(evaluation, seconds)
@@ -234,7 +238,9 @@ def _draw_examples(config: Study, evaluations: list[Evaluation], path: Path, wor
 
     shown = _examples(evaluations)
     images: dict[int, NDArray[np.uint8]] = {}
-    with Pool[Candidate, "NDArray[np.uint8]"](Draw(config.decoder, config.catalogue), workers, TIMEOUT) as pool:
+    with Pool[Candidate, "NDArray[np.uint8]"](
+        Draw(config.decoder, config.catalogue, config.solver), workers, TIMEOUT
+    ) as pool:
         drawn = pool.run([evaluation.candidate for evaluation in shown])
         for candidate, image, _ in progress(drawn, len(shown), "drawing"):
             if not isinstance(image, Failure):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
@@ -41,6 +42,14 @@ SCORING: tuple[Solver, ...] = (
     PrintabilitySolver(),
 )
 BUILDING: tuple[Solver, ...] = (*SCORING, FinishSolver())
+
+Rules = Literal["paper"]
+RULES: Mapping[Rules, tuple[Solver, ...]] = {"paper": BUILDING}  # all but the last of each give a verdict
+
+
+def scoring(rules: Rules) -> tuple[Solver, ...]:
+    """The solvers that give the verdict: all but the one that makes exact solids."""
+    return RULES[rules][:-1]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -112,11 +121,11 @@ def virtual(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
     return run(VIRTUAL, Blueprint(design, catalogue))
 
 
-def score(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
+def score(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = "paper") -> Outcome:
     """Verdict and five scores without exact solids or files: the fast path, used as fitness."""
-    return run(SCORING, Blueprint(design, catalogue))
+    return run(scoring(rules), Blueprint(design, catalogue))
 
 
-def build(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
+def build(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = "paper") -> Outcome:
     """The whole blueprint: as `score`, then exact printable solids, masses and scores re-checked on them."""
-    return run(BUILDING, Blueprint(design, catalogue))
+    return run(RULES[rules], Blueprint(design, catalogue))

@@ -211,7 +211,7 @@ def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
             heavier = replace(PAPER, motor=replace(PAPER.motor, mass=0.481))
             changed.setattr("experiments.build.catalogue_of", lambda _: heavier)
         elif what == "solvers":
-            changed.setattr("mfg.pipeline.BUILDING", BUILDING[:-1])
+            changed.setattr("mfg.pipeline.RULES", {"paper": BUILDING[:-1]})
         else:
             changed.setattr("decoder.latent.make_decoder", lambda _: GenomeDecoder(gap=2.6))
         said = experiment("--resume")
