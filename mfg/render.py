@@ -97,7 +97,8 @@ def render(
         azimuth: of the camera about z, from +x towards +y [rad].
         elevation: of the camera above the horizon [rad].
         floor: True draws a tiled floor at the lowest point, a number at that height [m].
-        bounds: box that the picture shows (2, 3) [m]; the shapes themselves if None. Give it to hold a camera still.
+        bounds: what the picture just shows [m]: a box (2, 3), or three or more points (n, 3); the shapes themselves if
+            None. Give it to hold a camera still.
         background: colour of what is empty.
         shadows: cast soft shadows and darken hollows.
         draft: one sample per pixel and no ambient rays, for the frames of a video.
@@ -114,7 +115,7 @@ def render(
         raise ValueError(f"picture size is {width} x {height}; both must be at least 1 pixel")
     shapes = [shape for shape in shapes if len(shape.triangles) and shape.alpha > 0]
     points = np.concatenate([s.vertices for s in shapes]) if shapes else np.zeros((1, 3))
-    shown = points if bounds is None else _corners(np.asarray(bounds, np.float64))
+    shown = points if bounds is None else _shown(bounds)
     level = None if floor is False else float(points[:, 2].min()) if floor is True else float(floor)
     samples = 1 if draft else 2
     camera = _Camera.fitted(shown, azimuth, elevation, (width, height), perspective)
@@ -125,6 +126,19 @@ def render(
     stage.cover(origin, ray, what, colour)
     grid = colour.reshape(height, samples, width, samples, 3).mean(axis=(1, 3))
     return np.rint(255.0 * np.clip(grid, 0.0, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
+
+
+def project(
+    points: NDArray[np.float64], bounds: NDArray[np.float64], size: tuple[int, int], azimuth: float, elevation: float,
+    *, perspective: bool = True,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Where `render` with these bounds draws points (n, 3): columns and rows from the top left corner [pixels], (n, 2)."""
+    camera = _Camera.fitted(_shown(bounds), azimuth, elevation, size, perspective)
+    x, y, z = camera.axes @ (np.asarray(points, np.float64) - camera.target).T
+    nearer = camera.distance / (camera.distance - z) if np.isfinite(camera.distance) else 1.0
+    width, height = size
+    across = x * nearer / (camera.half * width / height)
+    return np.stack([(1 + across) / 2 * width, (1 - y * nearer / camera.half) / 2 * height], axis=-1)
 
 
 def save_png(path: Path | str, image: NDArray[np.uint8]) -> None:
@@ -373,6 +387,11 @@ def _unit(vectors: F32) -> F32:
 
 def _facing(normal: F32, ray: F32) -> F32:
     return np.where(np.einsum("ij,ij->i", normal, ray)[:, None] > 0, -normal, normal)
+
+
+def _shown(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
+    array = np.asarray(bounds, np.float64)
+    return _corners(array) if len(array) == 2 else array
 
 
 def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
