@@ -12,7 +12,7 @@ from typing import Literal
 
 from mfg.blueprint import Blueprint
 from mfg.masses import wire_stretches
-from mfg.ways import Leg, Scene, Way, box_way, join_way, motor_way, tool_room
+from mfg.ways import TOOLS, Leg, Scene, Way, box_way, join_way, motor_way, tool_room
 
 Kind = Literal["place", "cable", "motor", "body_screws", "join", "output_screws", "box"]
 
@@ -156,7 +156,7 @@ class _Bench:
         feeds = tuple(w for w in range(len(blueprint.wires)) if _crosses(blueprint, w, stay, away))
         name = blueprint.hinges[seat_k.hinge].name
         keeps = seat_k.holder if seat_k.holder in stay else seat_k.connector
-        room = tool_room(self.scene, k, move.group, output=True)
+        room, by = tool_room(self.scene, k, move.group, output=True)
         self.add(
             Step("join", keeps, k, moved=tuple(sorted(away)), legs=way.legs, angle=way.angle, feeds=feeds,
                  soft=way.soft, trouble=way.trouble),
@@ -164,7 +164,7 @@ class _Bench:
             *(("cable", blueprint.wires[w].seat) for w in feeds),
         )  # fmt: skip
         self.add(Step("output_screws", seat_k.connector, k, (f"{name}_output_screws",), room=room,
-                      trouble="" if room else "no tool reaches the screw heads"), ("join", k))  # fmt: skip
+                      trouble=_covered(by)), ("join", k))  # fmt: skip
 
     def prepare(self, body: int) -> None:
         """Lay a body on the bench, if it is not there yet, and fill it with its motors."""
@@ -180,12 +180,12 @@ class _Bench:
             if wires:
                 self.add(Step("cable", body, k, wires), ("place", body))
             way = motor_way(self.scene, k)
-            room = tool_room(self.scene, k, [body], output=False)
+            room, by = tool_room(self.scene, k, [body], output=False)
             before: list[tuple[Kind, int]] = [("place", body), *([("cable", k)] if wires else [])]  # type: ignore[list-item]
             self.add(Step("motor", body, k, (f"{name}_motor",), legs=way.legs, soft=way.soft, trouble=way.trouble),
                      *before)  # fmt: skip
             self.add(Step("body_screws", body, k, (f"{name}_body_screws",), room=room,
-                          trouble="" if room else "no tool reaches the screw heads"), ("motor", k))  # fmt: skip
+                          trouble=_covered(by)), ("motor", k))  # fmt: skip
 
     def finished(self) -> tuple[Step, ...]:
         """All steps; a controller that had to go in before its last cable says so."""
@@ -200,6 +200,10 @@ class _Bench:
                 told = f"{', '.join(names)} arrive only later: plug them in first and leave their motor ends loose"
                 steps[at] = replace(step, trouble="; ".join(t for t in (step.trouble, told) if t))
         return tuple(steps)
+
+
+def _covered(by: str) -> str:
+    return f"{by} covers the screw heads at less than {1e3 * TOOLS[-1]:.0f} mm" if by else ""
 
 
 def _crosses(blueprint: Blueprint, wire: int, stay: frozenset[int], away: frozenset[int]) -> bool:

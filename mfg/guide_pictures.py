@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -15,23 +15,25 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Transform
+from mfg.camera import project
 from mfg.catalogue import ScrewPattern
 from mfg.exact import STRAIGHT, box_solid, motor_solid, straightened
 from mfg.masses import wire_stretches
 from mfg.mounts import Mount, mount_of
-from mfg.picture import BATTERY, BONES, CONTROLLER, MOTOR, SKIN, WIRE
-from mfg.render import Colour, Shape, project, render
+from mfg.picture import BATTERY, BONES, CONTROLLER, MOTOR, WIRE
+from mfg.render import Colour, Shape, render, visible_shares
 from mfg.solids import Solid, ball_chain, cylinder, union
 
 Array = NDArray[np.float64]
 
-SIZE = (700, 500)  # of the image of a step [pixels]
+SIZE = (640, 430)  # of the image of a step [pixels]
 MARGIN = 150  # beside an image, for labels [pixels]
 TEXT = 15  # height of a label [pixels]
 SHOWN_ERROR = 4.0e-4  # of the surfaces in pictures [m]
 AZIMUTH, ELEVATION = -0.95, 0.40  # of the usual camera, as in all pictures of robots
-NEW_BONE: Colour = (1.00, 0.74, 0.36)  # of what moves in a step
+NEW_BONE: Colour = (1.00, 0.74, 0.36)  # of a body that moves in a step
 NEW_SKIN: Colour = (0.96, 0.56, 0.30)
+NEW: Colour = (0.95, 0.50, 0.10)  # of a motor or box that goes in
 PALE_SKIN: Colour = (0.62, 0.74, 0.86)
 SCREW: Colour = (0.20, 0.21, 0.24)
 ARROW = "#c2255c"
@@ -72,15 +74,19 @@ class Mark:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scenery:
-    """What a picture shows: shapes, labels, and arrows as polylines (k, 3) [m] whose last point is the head."""
+    """What a picture shows.
+
+    Attributes:
+        shapes: in their places, design frame.
+        marks: labels.
+        arrows: polylines (k, 3) whose last point is the head [m].
+        focus: point sets (n, 3) that must be in the picture [m]; everything if there are none.
+    """
 
     shapes: list[Shape] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
     arrows: list[Array] = field(default_factory=list)
-
-    def __add__(self, other: Scenery) -> Scenery:
-        """Both together."""
-        return Scenery(self.shapes + other.shapes, self.marks + other.marks, self.arrows + other.arrows)
+    focus: list[Array] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +143,7 @@ class Stock:
         shapes = []
         for material, shape in self.printed[index]:
             colour = (NEW_BONE if material == "rigid" else NEW_SKIN) if new else shape.colour
-            shapes.append(_coloured(shape, colour))
+            shapes.append(coloured(shape, colour))
         return shapes
 
     def centre(self, index: int) -> Array:
@@ -148,7 +154,7 @@ class Stock:
 
 def figure(scenery: Scenery, view: View, alt: str, size: tuple[int, int] = SIZE) -> str:
     """The picture as an SVG element: image, arrows, labels at both sides with lines to what they name."""
-    points = np.concatenate([s.vertices for s in scenery.shapes] + [a for a in scenery.arrows])
+    points = np.concatenate((scenery.focus or [s.vertices for s in scenery.shapes]) + scenery.arrows)
     image = render(scenery.shapes, size, view.azimuth, view.elevation, bounds=points, shadows=False, draft=True,
                    perspective=False)  # fmt: skip
 
@@ -156,6 +162,7 @@ def figure(scenery: Scenery, view: View, alt: str, size: tuple[int, int] = SIZE)
         return project(np.atleast_2d(where), points, size, view.azimuth, view.elevation, perspective=False)
 
     width, height = size
+    named: list[tuple[str, float, float, bool]] = []
     margin = MARGIN if scenery.marks else 0
     parts = [
         f'<svg class="picture" role="img" aria-label="{escape(alt)}" xmlns="http://www.w3.org/2000/svg" '
@@ -163,8 +170,13 @@ def figure(scenery: Scenery, view: View, alt: str, size: tuple[int, int] = SIZE)
         f"<title>{escape(alt)}</title>",
         f'<image href="{png_uri(image)}" x="0" y="0" width="{width}" height="{height}"/>',
     ]
+    if scenery.focus:  # The picture is a cut-out: say so by a frame.
+        parts.append(f'<rect x="0.5" y="0.5" width="{width - 1}" height="{height - 1}" fill="none" stroke="#c9cfd4"/>')
     parts += [_arrow(at(path)) for path in scenery.arrows]
-    parts += _labels([(mark.text, *at(mark.at)[0].tolist(), mark.strong) for mark in scenery.marks], size)
+    for mark in scenery.marks:
+        x, y = np.clip(at(mark.at)[0], 6, [width - 6, height - 6]).tolist()
+        named.append((mark.text, x, y, mark.strong))
+    parts += _labels(named, size)
     return "\n".join([*parts, "</svg>"])
 
 
@@ -187,12 +199,9 @@ def best_view(
         if across is not None:
             cost += 1.2 * max(0.0, abs(float(view.back @ across)) - 0.45)
         rated.append((cost, k))
-    best, least = VIEWS[0], math.inf
-    for cost, k in sorted(rated)[:4]:
-        hidden = 1.0 - _seen(scenery.shapes, wanted, VIEWS[k])
-        if cost + hidden < least:
-            best, least = VIEWS[k], cost + hidden
-    return best
+    tried = sorted(rated)[:6]
+    shares = visible_shares(scenery.shapes, wanted, [(VIEWS[k].azimuth, VIEWS[k].elevation) for _, k in tried])
+    return VIEWS[min((cost - share, k) for (cost, k), share in zip(tried, shares, strict=True))[1]]
 
 
 def png_uri(image: NDArray[np.uint8]) -> str:
@@ -200,7 +209,9 @@ def png_uri(image: NDArray[np.uint8]) -> str:
     from PIL import Image
 
     data = io.BytesIO()
-    Image.fromarray(_softened(image)).quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(data, "PNG")
+    Image.fromarray(_softened(image)).quantize(
+        COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+    ).save(data, "PNG")
     return "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()
 
 
@@ -211,26 +222,11 @@ def pushed(shape: Shape, shift: Array, T: Transform | None = None) -> Shape:
     return shape.moved(whole)
 
 
-def recoloured(shapes: Iterable[Shape], colour: Colour) -> list[Shape]:
-    """The same shapes in one colour."""
-    return [_coloured(shape, colour) for shape in shapes]
-
-
-def _seen(shapes: Sequence[Shape], wanted: Sequence[int], view: View) -> float:
-    """Share of the wanted shapes' outline that nothing hides, from small images in flat colours."""
-    size = (84, 60)
-    points = np.concatenate([s.vertices for s in shapes])
-    flat = [replace(_coloured(s, (0.0, 0.0, 1.0)), ghost=0.0) for s in shapes]
-    for k in wanted:
-        flat[k] = replace(_coloured(shapes[k], (1.0, 0.0, 0.0)), ghost=0.0)
-
-    def red(what: Sequence[Shape]) -> int:
-        image = render(what, size, view.azimuth, view.elevation, bounds=points, shadows=False, draft=True,
-                       perspective=False)  # fmt: skip
-        return int((image[..., 0].astype(int) > image[..., 2].astype(int) + 30).sum())
-
-    alone = red([flat[k] for k in wanted])
-    return red(flat) / alone if alone else 0.0
+def coloured(shape: Shape, colour: Colour) -> Shape:
+    """The shape in another colour, without working out its normals again."""
+    out = replace(shape, colour=colour)
+    out.__dict__["normals"] = shape.normals
+    return out
 
 
 def _softened(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -252,8 +248,12 @@ def _labels(marks: list[tuple[str, float, float, bool]], size: tuple[int, int]) 
         rows = _spread([m[2] for m in column], TEXT * 1.7, TEXT, height - TEXT)
         for (text, x, y, strong), row in zip(column, rows, strict=True):
             end, anchor = (-8.0, "end") if left else (width + 8.0, "start")
-            parts.append(f'<path d="M{x:.0f} {y:.0f}L{end:.0f} {row:.0f}" stroke="#fff" stroke-width="3.5" fill="none"/>')
-            parts.append(f'<path d="M{x:.0f} {y:.0f}L{end:.0f} {row:.0f}" stroke="{INK}" stroke-width="1.2" fill="none"/>')
+            parts.append(
+                f'<path d="M{x:.0f} {y:.0f}L{end:.0f} {row:.0f}" stroke="#fff" stroke-width="3.5" fill="none"/>'
+            )
+            parts.append(
+                f'<path d="M{x:.0f} {y:.0f}L{end:.0f} {row:.0f}" stroke="{INK}" stroke-width="1.2" fill="none"/>'
+            )
             parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="3.2" fill="{INK}" stroke="#fff"/>')
             weight = ' font-weight="700"' if strong else ""
             shift = -4 if left else 4
@@ -316,10 +316,3 @@ def screw_size(name: str) -> tuple[float, float]:
 
 def _shape(solid: Solid, colour: Colour) -> Shape:
     return Shape(solid.vertices, solid.triangles, colour)
-
-
-def _coloured(shape: Shape, colour: Colour) -> Shape:
-    """The shape in another colour, without working out its normals again."""
-    out = replace(shape, colour=colour)
-    out.__dict__["normals"] = shape.normals
-    return out

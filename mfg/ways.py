@@ -21,8 +21,8 @@ FREE = 1.0e-8  # overlap that a way may have: a cube of 2 mm, what rounding leav
 TURNS = 24  # directions tried across a motor's axis
 SLOPES = (math.radians(30), math.radians(60))  # and leaning away from the motor
 BENDS = (0.5, -0.5, 1.0, -1.0)  # shares of a joint's range, up or down, by which it may be turned while it is joined
-ROUGH, ROUGH_ERROR = 3.0e-3, 5.0e-4  # spacing of lines and surface error while directions are compared [m]
-ROUGH_FREE = 3.0e-7  # what thinned solids may seem to overlap along a way that is free [m3]
+ROUGH, ROUGH_ERROR = 4.0e-3, 1.0e-3  # spacing of lines and surface error while directions are compared [m]
+ROUGH_FREE = 1.0e-6  # what thinned solids may seem to overlap along a way that is free [m3]
 TOOLS = (0.120, 0.060, 0.035, 0.020)  # room for a tool above a screw head: a driver, a stubby one, keys [m]
 HEAD = 4.0e-3  # height of an M4 cap screw's head [m]
 
@@ -107,17 +107,19 @@ class Scene:
                 side.add(hinge.body)
         return frozenset(side)
 
-    def culprit(self, moved: Sequence[Solid], out: Array, bodies: Iterable[int], but: int = -1) -> str:
-        """Name of what is most in the way of something that leaves along `out`."""
+    def culprit(
+        self, moved: Sequence[Solid], out: Array, bodies: Iterable[int], but: int = -1, travel: float = np.inf
+    ) -> str:
+        """Name of what is most in the way of something that leaves along `out`, by so much [m]."""
         found: list[tuple[float, str]] = []
         for b in sorted(bodies):
             name = self.blueprint.bodies[b].name
-            found.append((blocked_volume(moved, self.rigid[b], out), f"the bone of {name}"))
-            found.append((blocked_volume(moved, self.soft[b], out), f"the skin of {name}"))
+            found.append((blocked_volume(moved, self.rigid[b], out, travel), f"the bone of {name}"))
+            found.append((blocked_volume(moved, self.soft[b], out, travel), f"the skin of {name}"))
         for k, seat in enumerate(self.blueprint.seats):
             if k != but and seat.holder in bodies:
                 joint = self.blueprint.hinges[seat.hinge].name
-                found.append((blocked_volume(moved, [self.motors[k]], out), f"the motor of {joint}"))
+                found.append((blocked_volume(moved, [self.motors[k]], out, travel), f"the motor of {joint}"))
         return max(found, key=lambda row: row[0])[1]
 
 
@@ -192,7 +194,7 @@ def join_way(scene: Scene, k: int, group: frozenset[int], *, thorough: bool) -> 
         angle = float(share * hinge.range[1] if share > 0 else -share * hinge.range[0])
         if abs(angle) < 0.05:
             continue
-        T = _turned(hinge.position, hinge.axis, angle)
+        T = turned(hinge.position, hinge.axis, angle)
         way = _level(pair, seat, out, T, angle)
         best = min(best, way, key=lambda w: w.blocked)
         if best.free:
@@ -201,14 +203,24 @@ def join_way(scene: Scene, k: int, group: frozenset[int], *, thorough: bool) -> 
     if way.blocked < best.blocked:
         best = replace(way, soft=True)
     if not best.free:
-        T = _turned(hinge.position, hinge.axis, best.angle)
+        T = turned(hinge.position, hinge.axis, best.angle)
         moved = [s.moved(T) for s in pair.solids(away, rough=False)]
         best = replace(best, by=scene.culprit(moved, -best.legs[0].direction, group - away))
     return best
 
 
-def tool_room(scene: Scene, k: int, bodies: Iterable[int], *, output: bool) -> float:
-    """Free height above the heads of a joint's screws, as one of `TOOLS` [m]; 0 where not even the heads go in."""
+def turned(position: Array, axis: Array, angle: float) -> Transform:
+    """Turn about a line by the right-hand rule (Rodrigues), design frame."""
+    x, y, z = axis / np.linalg.norm(axis)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
+    T[:3, 3] = position - T[:3, :3] @ position
+    return T
+
+
+def tool_room(scene: Scene, k: int, bodies: Iterable[int], *, output: bool) -> tuple[float, str]:
+    """Free height above the heads of a joint's screws, as one of `TOOLS` [m], and what ends it; 0 is too little."""
     seat, mount = scene.blueprint.seats[k], scene.mount
     pattern = mount.motor.output_screws if output else mount.motor.body_screws
     sign = 1.0 if output else -1.0
@@ -223,11 +235,14 @@ def tool_room(scene: Scene, k: int, bodies: Iterable[int], *, output: bool) -> f
         heads.append(cylinder(pattern.head_diameter / 2 - 2e-4, low, high, 12).moved(seat.T_design_motor @ T))
     inside = set(bodies)
     fixed = scene.printed(inside) + scene.held(inside)
-    out = sign * seat.T_design_motor[:3, 2]
+    out, moved = sign * seat.T_design_motor[:3, 2], [union(heads)]
+    lattice = Lattice.along(out, 1e-3)
+    window, bottom = window_of(moved, lattice)
+    above = crossings(moved, lattice), crossings(fixed, lattice, window, bottom)
     for room in TOOLS:
-        if blocked_volume([union(heads)], fixed, out, room, 1e-3) <= FREE / 4:
-            return room
-    return 0.0
+        if obstruction(*above, room, lattice.spacing) <= FREE / 4:
+            return room, ""
+    return 0.0, scene.culprit(moved, out, inside, travel=TOOLS[-1])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -259,8 +274,12 @@ class _Pair:
 
     def outward(self, seat: MotorSeat) -> Array:
         """Across the motor's axis, from what stays to what leaves."""
-        middle = [np.mean([(s.vertices.min(0) + s.vertices.max(0)) / 2 for s in self.scene.printed(side, soft=False)], 0)
-                  for side in (self.stay, self.away)]  # fmt: skip
+
+        def centre(side: frozenset[int]) -> Array:
+            boxes = [s.bounds.mean(0) for s in self.scene.printed(side, soft=False)]
+            return np.mean(boxes, axis=0)
+
+        middle = centre(self.stay), centre(self.away)
         z = seat.T_design_motor[:3, 2]
         out = middle[1] - middle[0]
         out = out - (out @ z) * z
@@ -323,13 +342,3 @@ def _across(seat: MotorSeat, first: Array) -> list[Array]:
     other = np.cross(z, first)
     angles = [2 * math.pi * k / TURNS for k in range(TURNS)]
     return [math.cos(a) * first + math.sin(a) * other for a in angles]
-
-
-def _turned(position: Array, axis: Array, angle: float) -> Transform:
-    """Turn about a line by the right-hand rule (Rodrigues), design frame."""
-    x, y, z = axis / np.linalg.norm(axis)
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    T = np.eye(4)
-    T[:3, :3] = np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
-    T[:3, 3] = position - T[:3, :3] @ position
-    return T
