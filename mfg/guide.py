@@ -16,6 +16,7 @@ from mfg.guide_prose import (
     CLEANING,
     ENCODERS,
     FIRST_RUN,
+    HARD,
     HOMING,
     IDS,
     LEGEND,
@@ -67,7 +68,7 @@ def guide_html(blueprint: Blueprint, lays: Sequence[Lay], settings: str) -> byte
     stock = Stock(blueprint)
     key = escape(blueprint.design.key)
     sections = [
-        _cover(blueprint),
+        _cover(blueprint, steps),
         _needs(blueprint),
         _print(stock, lays, settings),
         _assembly(stock, steps),
@@ -99,7 +100,7 @@ def panels(steps: Sequence[Step]) -> Iterator[list[Step]]:
         yield panel
 
 
-def _cover(blueprint: Blueprint) -> str:
+def _cover(blueprint: Blueprint, steps: Sequence[Step]) -> str:
     image = render(blueprint_shapes(blueprint), COVER, floor=True, draft=True)
     points = np.concatenate([part.solid.vertices for part in blueprint.parts])
     size = " × ".join(f"{100 * v:.0f}" for v in np.ptp(points, axis=0))
@@ -111,13 +112,15 @@ def _cover(blueprint: Blueprint) -> str:
     ]  # fmt: skip
     tiles = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
     key = escape(blueprint.design.key)
+    hard = [str(number) for number, panel in enumerate(panels(steps), start=1) if any(step.trouble for step in panel)]
+    warning = f'<p class="warn">{escape(HARD.format(steps=", ".join(hard)))}</p>\n' if hard else ""
     notes = "".join(f'<p class="quiet">Note of the design: {escape(note)}</p>' for note in blueprint.notes)
     return (
         f'<section class="cover">\n<p class="lead">Assembly guide</p>\n<h1>Robot {key}</h1>\n'
         f'<p class="lead">A walking robot of {bodies} printed bodies and {motors} motors; this guide takes you from '
         f"the printer to its first steps. {key} is its key: the same key, the same robot.</p>\n"
         f'<img alt="the assembled robot" width="{COVER[0]}" height="{COVER[1]}" src="{png_uri(image)}">\n'
-        f'<div class="facts">{tiles}</div>\n{notes}'
+        f'<div class="facts">{tiles}</div>\n{warning}{notes}'
         f'<div class="safety"><h3>Read this first</h3>'
         f"{listed(line.format(peak=blueprint.catalogue.motor.peak_torque) for line in SAFETY)}</div>\n</section>"
     )

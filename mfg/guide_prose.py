@@ -21,6 +21,10 @@ SAFETY = (
     "driver) loses stiffness before it stops at 110 °C.",
 )
 
+HARD = (
+    "Before you print: on this body a hand or a tool does not get everywhere. Read the orange notes at step {steps}; "
+    "each says what is in the way and what helps."
+)
 TORQUES = (
     "The torques are assumptions, no maker states them: they press the plastic under a head of 1.75 screw sizes with "
     "40 MPa, which PLA bears without creeping away; nut factor 0.2, friction 0.2. The last column is what the clamped "
@@ -75,7 +79,7 @@ SIGNS = (
 HOMING = (
     ("Robot on its stand; switch on, hold every joint on its zero mark, and keep holding.", ""),
     ("Store the zeros; the motors are limp meanwhile. BUNDLE is the folder of a policy for this robot, which "
-     "`bodyplan train` or an evolution writes.", "bodyplan deploy BUNDLE --bus socketcan:can0 --set-home"),
+     "bodyplan train or an evolution writes.", "bodyplan deploy BUNDLE --bus socketcan:can0 --set-home"),
     ("It prints what each joint measured before. If it refuses, a joint was not held still: repeat it.", ""),
 )  # fmt: skip
 FIRST_RUN = (

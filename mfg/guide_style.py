@@ -41,7 +41,7 @@ pre { background: var(--tint); padding: .7rem .9rem; border-radius: 4px; white-s
   .step, figure, tr, .safety, .facts, .diagram { break-inside: avoid; }
   h2.flow { break-before: auto; margin-top: 1.2rem; }
   .step { padding: .5rem .8rem .2rem; margin-bottom: 4mm; } .step li { margin-bottom: .1rem; }
-  .step .picture { height: 78mm; width: auto; max-width: 100%; margin: 0 auto; }
+  .step .picture { height: 71mm; width: auto; max-width: 100%; margin: 0 auto; }
   .cover .picture { height: 100mm; }
   .cover img { width: auto; height: 104mm; margin: 0 auto; } .safety li { margin-bottom: .1rem; font-size: 9pt; }
 }

@@ -86,13 +86,14 @@ def step_text(blueprint: Blueprint, step: Step) -> list[str]:
         return [_screw_text(motor.output_screws, what, step)]
     moved = ", ".join(bodies[b].name for b in step.moved)
     comes = "disc slides across the output face" if seat.connector in step.moved else "motor slides under the disc"
-    text = [f"Bring {moved} onto {body} along the arrow: its {comes} of {joint} until the axes and the holes meet."]
+    text = []
+    if step.feeds:
+        names = ", ".join(blueprint.wires[w].name for w in step.feeds)
+        text.append(f"Lead the loose end of {names} into its tunnel on the other side, and pull it after as you go.")
+    text.append(f"Bring {moved} onto {body} along the arrow: its {comes} of {joint} until the axes and the holes meet.")
     if step.angle:
         text.append(f"Do so with the joint turned by {math.degrees(step.angle):+.0f}° (as pictured), and turn it back "
                     "afterwards: the motor turns freely without power.")  # fmt: skip
-    if step.feeds:
-        names = ", ".join(blueprint.wires[w].name for w in step.feeds)
-        text.append(f"First lead the loose end of {names} into its tunnel on the other side, and pull it after.")
     if step.soft:
         text.append("Soft skin is in the way here: press it aside, it springs back.")
     return text
@@ -108,8 +109,11 @@ def advice(step: Step) -> str:
     if not step.trouble:
         return ""
     if step.kind in ("body_screws", "output_screws"):
-        return (f"No free access: {step.trouble}. Drill access holes of 8 mm through what covers the screws, in line "
-                "with them, before you go on, or move this joint in the design.")  # fmt: skip
+        holes = ("Move this joint in the design, so that a hand and a key have room behind it, and build again."
+                 if "motor" in step.trouble else
+                 "Drill access holes of 8 mm through what covers the screws, in line with them, before you go on; or "
+                 "move this joint in the design and build again.")  # fmt: skip
+        return f"No tool reaches these screws: {step.trouble}. {holes}"
     if step.kind == "box" and "arrive only later" in step.trouble:
         return f"Mind the order: {step.trouble}."
     what = "the printed part" if step.kind == "join" else "the wall"
