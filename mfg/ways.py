@@ -182,7 +182,14 @@ def join_way(scene: Scene, k: int, group: frozenset[int], *, thorough: bool) -> 
     best = _level(pair, seat, out, None, 0.0)
     if best.free or not thorough:
         return best
-    lean = seat.T_design_motor[:3, 2] * (1.0 if seat.connector in away else -1.0)
+    z, near = seat.T_design_motor[:3, 2], -best.legs[0].direction
+    for part in (1 / 2, -1 / 2, 1 / 4, -1 / 4):  # Between the directions tried, beside the best of them.
+        angle = part * 2 * math.pi / TURNS
+        best = min(best, pair.way(math.cos(angle) * near + math.sin(angle) * np.cross(z, near), None, 0.0),
+                   key=lambda w: w.blocked)  # fmt: skip
+        if best.free:
+            return best
+    lean = z * (1.0 if seat.connector in away else -1.0)
     sloped = [math.cos(s) * d + math.sin(s) * lean for s in SLOPES for d in _across(seat, out)[::2]] + [lean]
     for direction in sloped:
         if pair.blocked(direction, None, rough=True) <= ROUGH_FREE:
