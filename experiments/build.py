@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from decoder.design import VoxelDesign
     from mfg.catalogue import Catalogue
 
-HELP = "a design (.npz or .vox) becomes a blueprint folder: parts, print file, models, wiring, bill of materials"
+HELP = "a design (.npz or .vox) becomes a blueprint folder: parts, print file, models, wiring, assembly guide"
 
 MESHES = (".stl", ".obj", ".glb", ".ply")
 PICTURE = (1200, 900)  # [pixel]
@@ -23,6 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("design", type=Path, metavar="DESIGN", help="a design: .npz, or MagicaVoxel .vox")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="blueprint folder to write")
     add_pipeline_options(parser)
+    parser.add_argument("--no-guide", action="store_true", help="leave out guide.html, which takes seconds")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
@@ -51,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
             emit(outcome.to_json(None))
         say(f"bodyplan: {args.design} cannot be built: {outcome.failure}")
         return INFEASIBLE
-    write_blueprint(outcome, folder)
+    write_blueprint(outcome, folder, guide=not args.no_guide)
     save_png(folder / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
     if args.json:
         emit(outcome.to_json(str(folder)))
@@ -63,6 +64,8 @@ def main(args: argparse.Namespace) -> int:
     for note in blueprint.notes:
         print(f"  note: {note}")
     print(f"blueprint in {folder}: look at {folder / 'blueprint.png'}, print {folder / 'print.3mf'}")
+    if not args.no_guide:
+        print(f"how to build it, step by step: {folder / 'guide.html'}")
     return DONE
 
 

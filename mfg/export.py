@@ -16,6 +16,8 @@ from mfg.blueprint import Blueprint, PrintedPart
 from mfg.catalogue import Catalogue, Filament
 from mfg.description import Description, describe
 from mfg.exact import box_solid, motor_solid, tunnel
+from mfg.guide import NAME as GUIDE
+from mfg.guide import guide_html
 from mfg.manifest import NAME, manifest, manifest_bytes, part_file
 from mfg.masses import wire_stretches
 from mfg.pipeline import Outcome
@@ -32,7 +34,7 @@ SKIN_ALPHA = 0.55
 VISUAL_ERROR = 5e-4  # of the meshes that are only looked at [m]
 
 
-def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
+def write_blueprint(outcome: Outcome, folder: Path | str, *, guide: bool = False) -> Path:
     """Write the whole folder of a built blueprint; same design, same bytes.
 
     All files go into a hidden folder beside the target, which takes the target's name only when it is complete; an
@@ -41,6 +43,7 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     Args:
         outcome: what `mfg.pipeline.build` made.
         folder: target; an older blueprint there is replaced.
+        guide: also write the assembly guide, which costs seconds: for people, not for searches.
 
     Returns:
         The folder, as an absolute path.
@@ -55,7 +58,7 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     folder = Path(folder).resolve()
     _check_target(folder)
     _sweep(folder)
-    files = blueprint_files(outcome.blueprint)
+    files = blueprint_files(outcome.blueprint, guide=True) if guide else blueprint_files(outcome.blueprint)
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -81,8 +84,8 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     return folder
 
 
-def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
-    """Contents of every file by its path, the manifest last."""
+def blueprint_files(blueprint: Blueprint, *, guide: bool = False) -> dict[str, bytes]:
+    """Contents of every file by its path, the manifest last; the assembly guide only if asked for."""
     if not blueprint.parts or not blueprint.masses:
         raise ValueError(f"design {blueprint.design.key} has no printed parts yet; build it before it is exported")
     catalogue = blueprint.catalogue
@@ -101,13 +104,16 @@ def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
         files[part_file(part)] = stl_bytes(*welded(part.solid), part.name)
     files["print.3mf"] = prusa_3mf(objects, blueprint.design.key)
     files["print_bambu.3mf"] = bambu_3mf(objects, blueprint.design.key)
-    files["print_settings.txt"] = print_settings(blueprint, lays).encode()
+    settings = print_settings(blueprint, lays)
+    files["print_settings.txt"] = settings.encode()
     files["assembly.glb"] = assembly_glb(visuals, description)
     files["robot.urdf"] = urdf(description, visuals).encode()
     files["robot.xml"] = mjcf(description, visuals).encode()
     files |= mesh_files(description, visuals)
     files["bom.csv"] = bill_of_materials(blueprint).encode()
     files["wiring.csv"] = wiring_table(blueprint).encode()
+    if guide:
+        files[GUIDE] = guide_html(blueprint, lays, settings)
     files[NAME] = manifest_bytes(manifest(blueprint, description, lays, files))
     return files
 

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from mfg.camera import Camera, shown_points
+
 Colour = tuple[float, float, float]
 F32 = NDArray[np.float32]
 
 WHITE: Colour = (1.0, 1.0, 1.0)
 GAMMA = 2.2  # between colours as given (for a screen) and the light that is added up
 CREASE = float(np.cos(np.radians(38.0)))  # faces that bend less than this are shaded as one smooth surface
-FILLED = 0.92  # share of the picture that the body may fill
-LENS = float(np.tan(np.radians(11.0)))  # half the field of view; small, so that a body looks like a drawing of itself
 KEY, FILL, AMBIENT, SHINE = 0.62, 0.14, 0.44, 0.08  # strength of the lights; a lit face comes out about as its colour
 LAYERS = 6  # translucent surfaces drawn one behind the other
 RAYS = 7  # ambient rays of one pixel; it shares them with its neighbours
@@ -97,7 +97,8 @@ def render(
         azimuth: of the camera about z, from +x towards +y [rad].
         elevation: of the camera above the horizon [rad].
         floor: True draws a tiled floor at the lowest point, a number at that height [m].
-        bounds: box that the picture shows (2, 3) [m]; the shapes themselves if None. Give it to hold a camera still.
+        bounds: what the picture just shows [m]: a box (2, 3), or three or more points (n, 3); the shapes themselves if
+            None. Give it to hold a camera still.
         background: colour of what is empty.
         shadows: cast soft shadows and darken hollows.
         draft: one sample per pixel and no ambient rays, for the frames of a video.
@@ -114,10 +115,10 @@ def render(
         raise ValueError(f"picture size is {width} x {height}; both must be at least 1 pixel")
     shapes = [shape for shape in shapes if len(shape.triangles) and shape.alpha > 0]
     points = np.concatenate([s.vertices for s in shapes]) if shapes else np.zeros((1, 3))
-    shown = points if bounds is None else _corners(np.asarray(bounds, np.float64))
+    shown = points if bounds is None else shown_points(bounds)
     level = None if floor is False else float(points[:, 2].min()) if floor is True else float(floor)
     samples = 1 if draft else 2
-    camera = _Camera.fitted(shown, azimuth, elevation, (width, height), perspective)
+    camera = Camera.fitted(shown, azimuth, elevation, (width, height), perspective)
     origin, ray = camera.rays((width * samples, height * samples))
     stage = _Stage(shapes, camera, level, shown, background)
     fine = (height * samples, width * samples)
@@ -127,61 +128,34 @@ def render(
     return np.rint(255.0 * np.clip(grid, 0.0, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
 
 
+def visible_shares(
+    shapes: Sequence[Shape], wanted: Sequence[int], views: Sequence[tuple[float, float]],
+    size: tuple[int, int] = (96, 72),
+) -> list[float]:  # fmt: skip
+    """Share of some opaque shapes that no other hides, seen from each view: of the pixels that they would fill alone.
+
+    Args:
+        shapes: all of them, as for `render`.
+        wanted: indices of those that are to be seen.
+        views: azimuth and elevation of each camera, in parallel projection [rad].
+        size: of the pictures that are counted [pixels].
+    """
+    points = np.concatenate([shapes[k].vertices for k in wanted])
+    everything, alone = _Soup(shapes, range(len(shapes))), _Soup([shapes[k] for k in wanted], list(wanted))
+    shares = []
+    for azimuth, elevation in views:
+        origin, ray = Camera.fitted(points, azimuth, elevation, size, perspective=False).rays(size)
+        filled = alone.owners(origin, ray) != NOTHING
+        seen = np.isin(everything.owners(origin[filled], ray[filled]), wanted)
+        shares.append(float(seen.mean()) if len(seen) else 0.0)
+    return shares
+
+
 def save_png(path: Path | str, image: NDArray[np.uint8]) -> None:
     """Write a picture (height, width, 3) as PNG."""
     from PIL import Image
 
     Image.fromarray(image).save(path, format="PNG", optimize=True)
-
-
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """Axes: right, up, back (towards the viewer), as rows."""
-
-    target: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    distance: float  # from the eye to the target; infinite in parallel projection
-    half: float  # of the picture's height in the plane of the target [m]
-
-    @classmethod
-    def fitted(
-        cls, points: NDArray[np.float64], azimuth: float, elevation: float, size: tuple[int, int], perspective: bool
-    ) -> _Camera:
-        """The camera that just shows all points from a direction."""
-        back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-        axes = np.stack([right, np.cross(back, right), back])
-        seen = points @ axes.T
-        target = (seen.min(0) + seen.max(0)) / 2
-        aspect = size[0] / size[1]
-        limit = np.array([aspect, 1.0]) * FILLED
-        distance, half = np.inf, 1e-6
-        for _ in range(8):  # recentring moves the outline a little, because near points look larger
-            local = seen - target
-            if not perspective:
-                half = max(float((np.abs(local[:, :2]).max(0) / limit).max()), 1e-6)
-                break
-            distance = max(float((np.abs(local[:, :2]) / (limit * LENS) + local[:, 2:]).max()), 1e-5)
-            depth = (distance - local[:, 2:]) / distance
-            flat = local[:, :2] / np.maximum(depth, 1e-9)
-            target[:2] += (flat.min(0) + flat.max(0)) / 2
-            half = distance * LENS
-        return cls(target @ axes, axes, distance, half)
-
-    def rays(self, size: tuple[int, int]) -> tuple[F32, F32]:
-        """Start and unit direction of the ray through each sample, row by row, (w h, 3) both."""
-        width, height = size
-        x = ((np.arange(width) + 0.5) / width * 2 - 1) * (self.half * width / height)
-        y = (1 - (np.arange(height) + 0.5) / height * 2) * self.half
-        right, up, back = self.axes
-        plane = (x[None, :, None] * right + y[:, None, None] * up).reshape(-1, 3)
-        if not np.isfinite(self.distance):
-            start = plane + self.target + back * (self.half * 50)
-            return start.astype(np.float32), np.broadcast_to(-back.astype(np.float32), plane.shape)
-        direction = plane - back * self.distance
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        eye = (self.target + back * self.distance).astype(np.float32)
-        return np.broadcast_to(eye, plane.shape), direction.astype(np.float32)
 
 
 class _Soup:
@@ -197,10 +171,21 @@ class _Soup:
         self.shapes = shapes
         self.scene: Any = EmbreeScene()
         if shapes:
-            self.normals = np.concatenate([s.normals for s in shapes])
             vertices = np.concatenate([s.vertices for s in shapes]).astype(np.float32)
             triangles = np.concatenate([s.triangles + k for s, k in zip(shapes, start, strict=False)]).astype(np.int32)
             TriangleMesh(self.scene, vertices, triangles)
+
+    @cached_property
+    def normals(self) -> F32:
+        """Of all triangles' corners, (m, 3, 3)."""
+        return np.concatenate([s.normals for s in self.shapes])
+
+    def owners(self, origin: F32, ray: F32) -> NDArray[np.int32]:
+        """Which shape each ray meets first, by its id, or NOTHING."""
+        if not self.shapes:
+            return np.full(len(ray), NOTHING, np.int32)
+        triangle = self.scene.run(np.ascontiguousarray(origin), np.ascontiguousarray(ray))
+        return np.where(triangle >= 0, self.owner[triangle], np.int32(NOTHING)).astype(np.int32)
 
     def hit(self, origin: F32, ray: F32) -> tuple[NDArray[np.int32], F32, F32]:
         """What each ray meets first: index of the triangle or -1, how far along the ray, normal there (k, 3)."""
@@ -229,7 +214,7 @@ class _Stage:
     """Shapes, lights and floor of one picture."""
 
     def __init__(
-        self, shapes: Sequence[Shape], camera: _Camera, level: float | None, shown: NDArray[np.float64],
+        self, shapes: Sequence[Shape], camera: Camera, level: float | None, shown: NDArray[np.float64],
         background: Colour,
     ) -> None:  # fmt: skip
         solid = [k for k, s in enumerate(shapes) if s.alpha >= 1]
@@ -373,10 +358,6 @@ def _unit(vectors: F32) -> F32:
 
 def _facing(normal: F32, ray: F32) -> F32:
     return np.where(np.einsum("ij,ij->i", normal, ray)[:, None] > 0, -normal, normal)
-
-
-def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _basis(normal: F32) -> tuple[F32, F32]:
