@@ -80,7 +80,7 @@ def write_best(
     if folder.exists():
         shutil.rmtree(folder)  # what a run that was stopped here left may be of another design.
     folder.mkdir(parents=True)
-    write_blueprint(outcome, robot)
+    write_blueprint(outcome, robot, guide=True)
     model = load_model(robot / "robot.xml")
     rollouts = roll_out_policy(model, actor, EPISODE)
     behaviour = measure(model, rollouts)[0]

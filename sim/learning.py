@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
@@ -176,6 +177,7 @@ class Learner:
         self.environment, self.settings = environment, settings
         self._vector = Vector(environment, np.random.default_rng(seed))
         self.ppo = ppo_on(self._vector, environment, settings, seed)
+        self.ppo.set_logger(Logger(None, []))  # its own would leave a folder behind at every call
         # How widely to explore is a schedule, not learned: learned, it grew on robots that move by jitter.
         self.ppo.policy.log_std.requires_grad_(False)
 

@@ -101,6 +101,12 @@ def test_a_checkpoint_of_another_learner_is_refused(model: Any, whole: Trainer) 
         whole.restore({"done": np.array(1)})
 
 
+def test_learning_leaves_nothing_behind(model: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    Trainer(model, SMALL, FREE).advance()
+    assert not list(tmp_path.iterdir())
+
+
 def test_exploration_narrows_as_planned(model: Any) -> None:
     trainer = Trainer(model, SMALL, FREE)
     spreads = [trainer.advance().curves["spread"] for _ in range(3)]
