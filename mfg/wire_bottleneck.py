@@ -1,0 +1,3 @@
+from mfg.outcome import *
+def bottleneck(blueprint, graph, seat, name, taken):
+    return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} starts {len(graph.starts.node)} ends {len(graph.ends[seat].node)}")
