@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,47 +13,8 @@ MARGIN = 4e-4  # by how much farther than it must a band keeps from everything [
 TENSION = 0.003  # weight of length against bending, per square of the step
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Band:
-    """One cable as a chain of points about one step apart.
-
-    Attributes:
-        points: (n, 3) [m].
-        fixed: how many points at either end stay where they are.
-        smoothing: (n - 2 fixed, n) matrix that maps targets of the free points and the fixed points to the chain of
-            least bending near them.
-    """
-
-    points: Array
-    fixed: tuple[int, int]
-    smoothing: Array
-
-    @staticmethod
-    def of(way: Array, step: float, stiffness: float) -> Band:
-        """A band along a way whose first and last stretch stay straight.
-
-        Args:
-            way: (k, 3), the ends of the straight stretches second and last but one [m].
-            step: between points [m].
-            stiffness: weight of bending against closeness to the targets, in steps to the fourth.
-        """
-        head = _evenly(way[0], way[1], step)
-        tail = _evenly(way[-2], way[-1], step)
-        middle = resampled(way[1:-1], step)
-        points = np.concatenate([head[:-1], middle, tail[1:]])
-        a, b = len(head), len(tail)
-        n = len(points)
-        bend = np.diff(np.eye(n), n=2, axis=0)
-        pull = np.diff(np.eye(n), axis=0)
-        energy = stiffness * (bend.T @ bend + TENSION * pull.T @ pull)
-        free = slice(a, n - b)
-        inverse = np.linalg.inv(np.eye(n - a - b) + energy[free, free])
-        smoothing = np.concatenate([-inverse @ energy[free, :a], inverse, -inverse @ energy[free, n - b :]], axis=1)
-        return Band(points, (a, b), smoothing)
-
-
 def relaxed(
-    way: Array, field: RouteField, others: Array, apart: float, step: float, stiffness: float, rounds: int
+    way: Array, field: RouteField, others: Array, apart: float, step: float, schedule: tuple[tuple[float, int], ...]
 ) -> Array:
     """Bend as little as the field and the other tunnels allow: alternating directions of multipliers.
 
@@ -63,30 +22,39 @@ def relaxed(
     disagree on is carried over, so that in the end they agree.
 
     Args:
-        way: see `Band.of`.
+        way: (k, 3), the ends of its straight approaches second and last but one [m].
         field: of the free room.
         others: points of other tunnels, at most a few millimetres apart, (m, 3) [m].
         apart: least distance to their centre lines [m].
         step: between points of the band [m].
-        stiffness: weight of bending against closeness to the targets, in steps to the fourth.
-        rounds: how many.
+        schedule: weight of bending against closeness to the targets, in steps to the fourth, and how many rounds.
 
     Returns:
         The band's points, (n, 3); it may come too near to things where there is no room.
     """
-    band = Band.of(way, step, stiffness)
-    points = band.points.copy()
-    head, tail = band.fixed
-    free = slice(head, len(points) - tail)
-    box = band.points.min(axis=0) - apart - 0.01, band.points.max(axis=0) + apart + 0.01
-    others = others[((others >= box[0]) & (others <= box[1])).all(axis=1)]
-    carried = np.zeros_like(points[free])
-    for _ in range(rounds):
-        target = points[free] + carried
-        target += _pushed(target, others, field, apart)
-        carried += points[free] - target
-        wanted = np.concatenate([points[:head], target - carried, points[len(points) - tail :]])
-        points[free] = band.smoothing @ wanted
+    head, tail = _evenly(way[0], way[1], step), _evenly(way[-2], way[-1], step)
+    middle = resampled(way[1:-1], step)[1:-1]
+    points = np.concatenate([head, middle, tail])
+    free = slice(len(head), len(head) + len(middle))
+    fixed = np.r_[: free.start, free.stop : len(points)]
+    bend, pull = np.diff(np.eye(len(points)), n=2, axis=0), np.diff(np.eye(len(points)), axis=0)
+    energy = bend.T @ bend + TENSION * pull.T @ pull
+    value, vector = np.linalg.eigh(energy[free, free])
+    steady = vector.T @ (energy[free][:, fixed] @ points[fixed])
+    low, high = points.min(axis=0) - apart - 0.01, points.max(axis=0) + apart + 0.01
+    others = others[((others >= low) & (others <= high)).all(axis=1)]
+    moving, carried, before = points[free], np.zeros((len(middle), 3)), 0.0
+    for weight, rounds in schedule:
+        # What is carried over is a force over the weight of closeness.
+        carried *= weight / before if before else 0.0
+        before = weight
+        for _ in range(rounds):
+            target = moving + carried
+            target += _pushed(target, others, field, apart)
+            carried += moving - target
+            wanted = vector.T @ (target - carried) - weight * steady
+            moving = vector @ (wanted / (1 + weight * value)[:, None])
+    points[free] = moving
     return points
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 STEPS = np.array([s for s in itertools.product((-1, 0, 1), repeat=3) if 0 < np.abs(s).sum() < 3])  # 18 neighbours
 TURNS = (0.0, np.pi / 4, np.pi / 2)  # of the arcs that lead from a straight approach to the samples around [rad]
-EASE = 1.25  # radius of these arcs over the cable's least
+EASE = 1.6  # radius of these arcs over the cable's least
 SLANT = 1.0  # by how much a tunnel may meet a motor's cup off square [rad]
-HEADING = 0.15  # price of a way that doubles back at the end of such an arc [m]
+HEADING = 0.4  # price of a way that doubles back at the end of such an arc [m]
+DETOURS = (0.25, np.inf)  # how much more than the cheapest way with nothing taken a way may cost, tried in order [m]
 BLUR = 5e-4  # by how much the interpolated clearance may come out too small [m]
 
 
@@ -49,12 +50,12 @@ class Mouths:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Tree:
-    """Cheapest ways from the controller.
+    """Cheapest ways from one piece of hardware.
 
     Attributes:
-        length: cost of the way to every node, (n + 1,).
-        before: the node before every node, (n + 1,).
-        cost: of every arc at the controller, as it was counted, (k,).
+        length: cost of the way to every sample, (n,) [m].
+        before: the sample before every sample, n after the last arc, (n,).
+        cost: of every arc at the root, as it was counted, (k,).
     """
 
     length: Array
@@ -99,30 +100,44 @@ class RouteGraph:
         self.cost = field.cost.ravel()[self.cells].astype(np.float64)
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
-        self.order = np.argsort(self.starts.node, kind="stable")  # of the controller's arcs in its row of the graph
-        self.graph = self._linked()
+        self.rows = self._linked()
+        indptr, column, weight = self.rows
+        self.first = self._grown(weight, self.starts.node, self.starts.cost)
+        # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
+        rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
+        self.added = np.maximum(weight + rest.take(column) - np.repeat(rest, np.diff(indptr)), 1e-9)
+        self.rest = rest
 
-    def _linked(self) -> sparse.csr_matrix:
-        """Every sample with its neighbours of the same label or one joined to it; the controller with its mouths."""
+    def _linked(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+        """Every sample with its neighbours of the same label or one joined to it, as a sparse matrix by rows."""
         shape = self.field.label.shape
         # The outermost samples have no label: no step leaves the array.
         stride = np.array([shape[1] * shape[2], shape[2], 1])
-        other = self.index[self.cells[:, None] + STEPS @ stride]
+        other = self.index.take(self.cells[:, None] + STEPS @ stride)
         linked = other >= 0
-        linked &= self.field.joined[self.label[:, None], self.label[other]]
-        length = np.broadcast_to(np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2), other.shape)
-        rows = np.repeat(np.arange(len(other)), linked.sum(axis=1))
         column = other[linked]
-        weight = (self.cost[rows] + self.cost[column]) * length[linked]
-        indptr = np.concatenate([[0], np.cumsum(linked.sum(axis=1))])
-        return sparse.csr_matrix(
-            (
-                np.concatenate([weight, self.starts.cost[self.order]]),
-                np.concatenate([column, self.starts.node[self.order]]).astype(np.int32),
-                np.concatenate([indptr, [indptr[-1] + len(self.order)]]).astype(np.int32),
-            ),
-            shape=(len(other) + 1, len(other) + 1),
+        rows = np.repeat(np.arange(len(other), dtype=np.int32), linked.sum(axis=1))
+        here, there = self.label.take(rows), self.label.take(column)
+        change = np.flatnonzero(here != there)
+        keep = np.ones(len(rows), bool)
+        keep[change] = self.field.joined[here[change], there[change]]
+        length = np.broadcast_to(np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2), other.shape)
+        weight = (self.cost.take(rows) + self.cost.take(column)) * length[linked]
+        count = np.bincount(rows[keep], minlength=len(other))
+        return np.concatenate([[0], np.cumsum(count)]).astype(np.int32), column[keep], weight[keep]
+
+    def _grown(self, weight: Array, node: Index, cost: Array, limit: float = np.inf) -> Tree:
+        """The tree of cheapest ways from a root that leads to some nodes at some cost, as far as a limit."""
+        indptr, column, _ = self.rows
+        order = np.argsort(node, kind="stable")
+        data = np.concatenate([weight, cost[order]])
+        size = len(self.cells) + 1
+        graph = sparse.csr_matrix(
+            (data, np.concatenate([column, node[order].astype(np.int32)]), np.append(indptr, np.int32(len(data)))),
+            shape=(size, size),
         )
+        length, before = csgraph.dijkstra(graph, indices=size - 1, return_predecessors=True, limit=limit)
+        return Tree(length[:-1], before[:-1], cost)
 
     def _from_controller(self) -> Mouths:
         box, seats = self.blueprint.box("controller"), len(self.blueprint.seats)
@@ -190,72 +205,76 @@ class RouteGraph:
         cost = (stub + np.concatenate(lengths)[turn]) * self.cost[hit]
         return Mouths(start, outer, mouth, hit, points[turn, mouth, :2], np.concatenate(headings)[turn, mouth], cost)
 
-    def tree(self, seat: int, earlier: list[Array], apart: float, banned: set[int]) -> Tree:
-        """Cheapest ways from the controller to every sample that keep `apart` from earlier tunnels [m].
+    def tree(self, seat: int, earlier: list[Array], apart: float, banned: set[int]) -> Tree | None:
+        """Cheapest ways from a motor to every sample that keep `apart` from earlier tunnels [m].
 
         Args:
-            seat: index of the motor that the way is for: arcs that set out away from it cost more.
+            seat: index of the motor.
             earlier: tunnels as points at most a few millimetres apart.
             apart: least distance to them.
-            banned: mouths at the controller that must not be used.
+            banned: mouths at the motor that must not be used.
+
+        Returns:
+            The tree, as far as ways may matter, or None where every mouth is taken.
         """
-        starts = self.starts
+        ends = self.ends[seat]
         taken = np.zeros(len(self.cells), bool)
-        shut = np.isin(np.arange(len(starts.start)), sorted(banned))
         for path in earlier:
             low, high = path.min(axis=0) - apart, path.max(axis=0) + apart
             near = np.flatnonzero(((self.points >= low) & (self.points <= high)).all(axis=1) & ~taken)
             taken[near] = _distance(self.points[near], path) < apart
-            shut |= self._too_near(starts, path, apart)
-        data, indptr = self.graph.data.copy(), self.graph.indptr
+        cost = ends.cost + HEADING * (1 - self._onward(ends, self.first.before)) + self.rest[ends.node]
+        cost[self._shut(ends, earlier, apart, banned)[ends.mouth] | taken[ends.node]] = np.inf
+        if not len(cost) or not np.isfinite(cost).any():
+            return None
+        added, indptr = self.added.copy(), self.rows[0]
         rows = np.flatnonzero(taken)
         counts = np.diff(indptr)[rows]
-        data[np.repeat(indptr[rows] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())] = np.inf
-        towards = self.obstacles.motors[seat][:3, 3] - self.points[starts.node]
-        away = 1 - (towards * starts.heading).sum(axis=1) / np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-        cost = np.where(shut[starts.mouth], np.inf, starts.cost + HEADING * away)
-        data[indptr[-2] :] = cost[self.order]
-        graph = sparse.csr_matrix((data, self.graph.indices, indptr), shape=self.graph.shape)
-        length, before = csgraph.dijkstra(graph, indices=len(self.cells), return_predecessors=True)
-        length[:-1][taken] = np.inf
-        return Tree(length, before, cost)
+        added[np.repeat(indptr[rows] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())] = np.inf
+        for detour in DETOURS:
+            tree = self._grown(added, ends.node, cost, float(cost.min()) + detour)
+            tree.length[taken] = np.inf
+            if np.isfinite(tree.length[self.starts.node]).any():
+                break
+        return replace(tree, length=tree.length - self.rest)
 
     def way(self, seat: int, tree: Tree, earlier: list[Array], apart: float, banned: set[int]) -> Way | None:
-        """Cheapest way of a tree to a motor, without the banned mouths at the motor, or None."""
+        """Cheapest way of a motor's tree to the controller, without its banned mouths, or None."""
         starts, ends = self.starts, self.ends[seat]
-        total = tree.length[ends.node] + ends.cost + HEADING * (1 - self._onward(ends, tree.before))
-        shut = np.isin(np.arange(len(ends.start)), sorted(banned))
-        for path in earlier:
-            shut |= self._too_near(ends, path, apart)
-        total[shut[ends.mouth]] = np.inf
+        total = tree.length[starts.node] + starts.cost + HEADING * (1 - self._onward(starts, tree.before))
+        total[self._shut(starts, earlier, apart, banned)[starts.mouth]] = np.inf
         if not len(total) or not np.isfinite(total).any():
             return None
         best = int(np.argmin(total))
-        chain = [int(ends.node[best])]
+        chain = [int(starts.node[best])]
         while tree.before[chain[-1]] != len(self.cells):
             chain.append(int(tree.before[chain[-1]]))
-        arcs = np.flatnonzero(starts.node == chain[-1])
-        begin = int(arcs[np.argmin(tree.cost[arcs])])
-        first, last = int(starts.mouth[begin]), int(ends.mouth[best])
+        arcs = np.flatnonzero(ends.node == chain[-1])
+        leaf = int(arcs[np.argmin(tree.cost[arcs])])
+        first, last = int(starts.mouth[best]), int(ends.mouth[leaf])
         points = [
-            starts.start[[first]], starts.outer[[first]], starts.bends[begin], self.points[chain[::-1]],
-            ends.bends[best][::-1], ends.outer[[last]], ends.start[[last]],
+            starts.start[[first]], starts.outer[[first]], starts.bends[best], self.points[chain],
+            ends.bends[leaf][::-1], ends.outer[[last]], ends.start[[last]],
         ]  # fmt: skip
         return Way(np.concatenate(points), first, last)
 
     @staticmethod
-    def _too_near(mouths: Mouths, path: Array, apart: float) -> NDArray[np.bool_]:
-        middle = (mouths.start + mouths.outer) / 2
-        return np.minimum(_distance(middle, path), _distance(mouths.outer, path)) < apart
+    def _shut(mouths: Mouths, earlier: list[Array], apart: float, banned: set[int]) -> NDArray[np.bool_]:
+        """Which mouths are banned or taken."""
+        shut = np.isin(np.arange(len(mouths.start)), sorted(banned))
+        for path in earlier:
+            middle = (mouths.start + mouths.outer) / 2
+            shut |= np.minimum(_distance(middle, path), _distance(mouths.outer, path)) < apart
+        return shut
 
-    def _onward(self, ends: Mouths, before: NDArray[np.int32]) -> Array:
+    def _onward(self, mouths: Mouths, before: NDArray[np.int32]) -> Array:
         """Cosine between the heading of every arc and the way onward from its end, (k,)."""
-        node = ends.node
+        node = mouths.node
         for _ in range(3):
             back = before[node]
             node = np.where((back >= 0) & (back < len(self.cells)), back, node)
-        way = self.points[node] - self.points[ends.node]
-        along = (way * ends.heading).sum(axis=1)
+        way = self.points[node] - self.points[mouths.node]
+        along = (way * mouths.heading).sum(axis=1)
         return np.asarray(along / np.maximum(np.linalg.norm(way, axis=1), 1e-9))
 
 

@@ -1,3 +1,5 @@
 from mfg.outcome import *
+
+
 def bottleneck(blueprint, graph, seat, name, taken):
-    return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} starts {len(graph.starts.node)} ends {len(graph.ends[seat].node)}")
+    return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} no way")

@@ -42,8 +42,7 @@ class SearchWireSolver:
         approach: straight stretch of a tunnel at the controller and at the motor, so that a plug goes in [m].
         reserve: slack at a crossing beyond what the joint's range needs [m].
         step: between points of a path [m].
-        stiffness: weights of bending that the bands are tried with, in steps to the fourth.
-        rounds: of relaxation.
+        schedules: with which weights of bending [steps^4] and how many rounds each the bands are relaxed, tried in order.
         tries: how many pairs of mouths are tried for one cable.
         max_length: longest cable that is worth pulling [m].
         surface: whether the way along the surface counts where there is none inside.
@@ -52,12 +51,11 @@ class SearchWireSolver:
     clearance: float = 0.0005
     gap: float = 0.0012
     wall: float = 0.0012
-    approach: float = 0.010
+    approach: float = 0.008
     reserve: float = 0.005
     step: float = 0.004
-    stiffness: tuple[float, ...] = (40.0, 10.0, 160.0)
-    rounds: int = 15
-    tries: int = 6
+    schedules: tuple[tuple[tuple[float, int], ...], ...] = (((40.0, 15),), ((640.0, 8), (160.0, 8), (40.0, 8)))
+    tries: int = 12
     max_length: float = 1.5
     surface: bool = True
 
@@ -130,8 +128,8 @@ class SearchWireSolver:
         closest: Failure | None = None
         for _ in range(self.tries):
             if tree is None:
-                tree = graph.tree(k, taken, 2 * radius + gap + SHORT, no_start)
-            way = graph.way(k, tree, taken, 2 * radius + gap + SHORT, no_end)
+                tree = graph.tree(k, taken, 2 * radius + gap + SHORT, no_end)
+            way = None if tree is None else graph.way(k, tree, taken, 2 * radius + gap + SHORT, no_start)
             if way is None:
                 break
             path = self._relaxed(blueprint, graph, way, earlier)
@@ -139,9 +137,9 @@ class SearchWireSolver:
                 closest = closest or self._fault(blueprint, name, path)
                 if path.late:
                     no_end.add(way.end)
+                    tree = None
                 else:
                     no_start.add(way.start)
-                    tree = None
                 continue
             run = self._with_slack(blueprint, WireRun(name, k, path, radius))
             if isinstance(run, WireRun) and run.length > self.max_length:
@@ -151,13 +149,13 @@ class SearchWireSolver:
         return closest or bottleneck(blueprint, graph, k, name, taken)
 
     def _relaxed(self, blueprint: Blueprint, graph: RouteGraph, way: Way, earlier: list[Array]) -> Array | _Fault:
-        """The band along a way, at the first stiffness at which it is clear and not too bent, or what is wrong."""
+        """The band along a way, after the first schedule after which it is clear and not too bent, or what is wrong."""
         radius, gap = graph.margins.radius, graph.margins.gap
         limit = 1 / blueprint.catalogue.wire.bend_radius
         others = np.concatenate([resampled(path, DENSE) for path in earlier]) if earlier else np.zeros((0, 3))
         faults = []
-        for stiffness in self.stiffness:
-            path = relaxed(way.points, graph.field, others, 2 * radius + gap + SHORT, self.step, stiffness, self.rounds)
+        for schedule in self.schedules:
+            path = relaxed(way.points, graph.field, others, 2 * radius + gap + SHORT, self.step, schedule)
             fine = resampled(path, 0.002)
             along = np.linspace(0, 1, len(fine))
             bend = bends(fine)
