@@ -109,7 +109,8 @@ class RouteField:
     def of(blueprint: Blueprint, margins: Margins) -> RouteField:
         """Lay out the free room of a blueprint with its seats and boxes."""
         bones = [body.bone for body in blueprint.bodies]
-        grid, owner = _bones(bones)
+        used = passed(blueprint)
+        grid, owner = _bones(bones, used)
         depth = grid.values
         near = np.float32(margins.radius + margins.gap)
         allowed = depth - np.float32(margins.radius + margins.wall)
@@ -125,8 +126,9 @@ class RouteField:
             hinge = blueprint.hinges[seat.hinge]
             pair = (hinge.parent, hinge.body)
             joined[bodies + k, pair] = joined[pair, bodies + k] = True
+            shut = [index for index in range(bodies) if index not in pair or index not in used]
             mount = mount_of(blueprint.catalogue.motor)
-            room = _room(seat.T_design_motor, bones, pair, grid, mount, near, margins.pinched)
+            room = _room(seat.T_design_motor, bones, (pair, shut), grid, mount, near, margins.pinched)
             if room is None:
                 continue
             window, radial, free, dear = room
@@ -154,13 +156,34 @@ def _cost(depth: Depth | np.float32) -> Depth:
     return np.asarray(1 + 60 / np.power(1e3 * depth, np.float32(1.5)), np.float32)
 
 
-def _bones(fields: list[Field]) -> tuple[Field, NDArray[np.int8]]:
-    """Depth in all bones on a common lattice, three samples wider than they are, and which bone it is deepest in."""
+def passed(blueprint: Blueprint) -> set[int]:
+    """The bodies that lie on the way through the tree from the controller to any motor's holder, both included."""
+    parent = {hinge.body: hinge.parent for hinge in blueprint.hinges}
+
+    def upwards(body: int) -> list[int]:
+        chain = [body]
+        while chain[-1] in parent:
+            chain.append(parent[chain[-1]])
+        return chain
+
+    home = upwards(blueprint.box("controller").body)
+    used = {home[0]}
+    for seat in blueprint.seats:
+        there = upwards(seat.holder)
+        meet = next((body for body in there if body in home), there[-1])
+        used.update(there[: there.index(meet) + 1])
+        used.update(home[: home.index(meet) + 1] if meet in home else ())
+    return used
+
+
+def _bones(bones: list[Field], used: set[int]) -> tuple[Field, NDArray[np.int8]]:
+    """Depth in the used bones on a lattice three samples wider than they are, and which bone it is deepest in."""
+    fields = [bones[index] for index in sorted(used)]
     corners = np.array([np.round(field.corner).astype(int) for field in fields])
     low = corners.min(axis=0) - 3
     shape = (corners + [field.values.shape for field in fields]).max(axis=0) + 3 - low
     depth, owner = np.full(shape, OUTSIDE, np.float32), np.zeros(shape, np.int8)
-    for index, (corner, field) in enumerate(zip(corners - low, fields, strict=True)):
+    for index, corner, field in zip(sorted(used), corners - low, fields, strict=True):
         there = tuple(slice(c, c + n) for c, n in zip(corner, field.values.shape, strict=True))
         owner[there][field.values > depth[there]] = index
         depth[there] = np.maximum(depth[there], field.values)
@@ -215,9 +238,18 @@ def _outside(*beyond: Depth) -> Depth:
 
 
 def _room(
-    T: Array, bones: list[Field], pair: tuple[int, int], grid: Field, mount: Mount, near: np.float32, pinching: bool
+    T: Array,
+    bones: list[Field],
+    bodies: tuple[tuple[int, int], list[int]],
+    grid: Field,
+    mount: Mount,
+    near: np.float32,
+    pinching: bool,
 ) -> tuple[Window, Depth, Depth, Depth] | None:
-    """Window, distance from the axis, clearance and cost in the room around a joint: outside, near its two bones."""
+    """Window, distance from the axis, clearance and cost in the room around a joint: outside, near its two bones.
+
+    `bodies` are these two, and those that no tunnel passes.
+    """
     across, along_most = mount.envelope_radius + AROUND[0], mount.connector_high + AROUND[1]
     axis = T[:3, 2]
     reach = np.abs(axis) * along_most + np.sqrt(np.maximum(1 - axis**2, 0)) * across
@@ -225,29 +257,16 @@ def _room(
     if window is None:
         return None
     radial, along = cylindrical(grid.axes(window), T[:3, 3], axis)
-    one, other = (_part_of(bones[index], grid, window) for index in pair)
+    one, other = (_part_of(bones[index], grid, window) for index in bodies[0])
     nearer, farther = np.maximum(one, other), np.minimum(one, other)
     ends = np.float32(along_most) - np.abs(along)
     # The empty cylinder above and below the mount is as good as the room close to a bone.
     close = np.maximum(nearer + np.float32(NEAR_BONE), np.float32(mount.attach_radius) - radial)
     free = np.minimum(np.minimum(np.float32(across) - radial, ends), close)
-    for index, bone in enumerate(bones):
-        if index not in pair:
-            free = np.minimum(free, -near - _part_of(bone, grid, window))
+    for index in bodies[1]:
+        free = np.minimum(free, -near - _part_of(bones[index], grid, window))
     if not pinching:
         free = np.minimum(free, -near - farther)
     dear = _cost(np.float32(SHALLOW)) * (1 + radial / np.float32(across))
     dear *= np.where(farther > -near, np.float32(PINCH), 1) * np.where(nearer > -near, np.float32(SKIMMING), 1)
     return window, radial, free, dear
-
-
-def bottleneck_label(field: RouteField, point: Array) -> int:
-    """Label of the nearest labelled sample to a point."""
-    index = np.round((point - field.clearance.origin) / field.clearance.spacing).astype(int)
-    window = tuple(slice(max(i - 3, 0), i + 4) for i in index)
-    near = field.label[window]
-    where = np.argwhere(near >= 0)
-    if not len(where):
-        return -1
-    start = np.array([s.start for s in window])
-    return int(near[tuple(where[((where + start - index) ** 2).sum(axis=1).argmin()])])

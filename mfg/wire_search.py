@@ -14,7 +14,7 @@ from mfg.outcome import Failure, Reason, Stage
 from mfg.route_field import Margins, RouteField
 from mfg.route_graph import RouteGraph, Way
 from mfg.scores import cable_score
-from mfg.wire_bottleneck import bottleneck
+from mfg.wire_bottleneck import bottleneck, where
 from mfg.wire_slack import crossings
 from mfg.wires import WireSolver, curvature, resampled
 
@@ -83,23 +83,26 @@ class SearchWireSolver:
                 notes = [f"{run.name} {note}" for run in answer] if note else []
                 return self._finished(blueprint, answer, notes)
             failure = failure or answer
+        assert failure is not None
         if self.surface:
             along = WireSolver(clearance=self.clearance, max_length=self.max_length).solve(blueprint)
             if isinstance(along, Blueprint):
-                runs = [self._with_slack(blueprint, run) for run in along.wires]
-                fine = [run for run in runs if isinstance(run, WireRun)]
-                if len(fine) == len(runs):
-                    reason = failure.detail if failure is not None else ""
-                    return self._finished(
-                        blueprint,
-                        fine,
-                        [*along.notes[len(blueprint.notes) :], f"cables run along the surface: {reason}"],
-                    )
-        assert failure is not None
+                return self._on_surface(blueprint, along, failure)
         return failure
 
+    def _on_surface(self, blueprint: Blueprint, along: Blueprint, failure: Failure) -> Blueprint:
+        """What the paper's solver found, with slack where it crosses joints as it should."""
+        notes = [*along.notes[len(blueprint.notes) :], f"cables run along the surface: {failure.detail}"]
+        runs = []
+        for run in along.wires:
+            held = self._with_slack(blueprint, run)
+            if isinstance(held, Failure):
+                notes.append(f"{run.name} has no slack: {held.detail}")
+            runs.append(run if isinstance(held, Failure) else held)
+        return self._finished(blueprint, runs, notes)
+
     def _finished(self, blueprint: Blueprint, runs: list[WireRun], notes: list[str]) -> Blueprint:
-        length = sum(run.cable_length for run in runs)
+        length = sum(run.length for run in runs)
         sharpest = max((curvature(run.path) for run in runs), default=0.0)
         routed = replace(blueprint, wires=tuple(runs), notes=(*blueprint.notes, *notes))
         return routed.scored(cable=cable_score(length, sharpest, blueprint.catalogue))
@@ -146,7 +149,7 @@ class SearchWireSolver:
                 detail = f"{name} would be {run.length:.2f} m long, at most {self.max_length:.2f} m is allowed"
                 return Failure(Stage.WIRE, Reason.NO_ROUTE, detail)
             return run
-        return closest or bottleneck(blueprint, graph, k, name, taken)
+        return closest or bottleneck(blueprint, graph.field, graph.margins, k, name, taken)
 
     def _relaxed(self, blueprint: Blueprint, graph: RouteGraph, way: Way, earlier: list[Array]) -> Array | _Fault:
         """The band along a way, after the first schedule after which it is clear and not too bent, or what is wrong."""
@@ -184,7 +187,7 @@ class SearchWireSolver:
         return short
 
     def _fault(self, blueprint: Blueprint, name: str, fault: _Fault) -> Failure:
-        place = nearest_place(blueprint, fault.point)
+        place = where(blueprint, fault.point)
         if fault.kind == "bend":
             least = blueprint.catalogue.wire.bend_radius
             return Failure(
@@ -221,15 +224,6 @@ def bends(path: Array, chord: float = CHORD) -> Array:
         lengths = np.prod([np.linalg.norm(v, axis=1) for v in (a, b, a + b)], axis=0)
         found[c:-c] = 2 * np.linalg.norm(np.cross(a, b), axis=1) / np.maximum(lengths, 1e-12)
     return found
-
-
-def nearest_place(blueprint: Blueprint, point: Array) -> str:
-    """Say where a point is: in which body or near which joint."""
-    joint = min(blueprint.hinges, key=lambda h: float(np.linalg.norm(h.position - point)))
-    depth = [float(body.bone.sample(point[None])[0]) for body in blueprint.bodies]
-    body = blueprint.bodies[int(np.argmax(depth))]
-    far = float(np.linalg.norm(joint.position - point))
-    return f"in {body.name}, {1e3 * far:.0f} mm from {joint.name}"
 
 
 def _inside(fine: Array, outer: Array) -> int:
