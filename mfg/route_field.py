@@ -30,14 +30,12 @@ class Margins:
         gap: wall to motors' mounts, boxes, shafts and other tunnels [m].
         wall: least wall to the surface of the bone that it runs in; negative lets it open into a groove [m].
         shafts: whether it keeps out of the insertion shafts of the boxes.
-        pinched: whether it may cross a joint where the two bones leave no room for it to move.
     """
 
     radius: float
     gap: float
     wall: float
     shafts: bool = True
-    pinched: bool = True
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -128,7 +126,7 @@ class RouteField:
             joined[bodies + k, pair] = joined[pair, bodies + k] = True
             shut = [index for index in range(bodies) if index not in pair or index not in used]
             mount = mount_of(blueprint.catalogue.motor)
-            room = _room(seat.T_design_motor, bones, (pair, shut), grid, mount, near, margins.pinched)
+            room = _room(seat.T_design_motor, bones, (pair, shut), grid, mount, near)
             if room is None:
                 continue
             window, radial, free, dear = room
@@ -153,7 +151,7 @@ class RouteField:
 
 
 def _cost(depth: Depth | np.float32) -> Depth:
-    return np.asarray(1 + 60 / np.power(1e3 * depth, np.float32(1.5)), np.float32)
+    return np.asarray(1 + 60 / np.power(1e3 * np.maximum(depth, np.float32(1e-3)), np.float32(1.5)), np.float32)
 
 
 def passed(blueprint: Blueprint) -> set[int]:
@@ -229,11 +227,9 @@ def _hardware(blueprint: Blueprint, grid: Field, shafts: bool) -> Depth:
 
 def _outside(*beyond: Depth) -> Depth:
     """Euclidean distance outside a product of intervals, from how far a point lies beyond each; negative inside."""
-    worst, square = beyond[0], np.float32(0)
+    worst, square = beyond[0], np.square(np.maximum(beyond[0], 0))
     for far in beyond[1:]:
-        worst = np.maximum(worst, far)
-    for far in beyond:
-        square = square + np.square(np.maximum(far, 0))
+        worst, square = np.maximum(worst, far), square + np.square(np.maximum(far, 0))
     return np.asarray(np.where(worst > 0, np.sqrt(square), worst), np.float32)
 
 
@@ -244,7 +240,6 @@ def _room(
     grid: Field,
     mount: Mount,
     near: np.float32,
-    pinching: bool,
 ) -> tuple[Window, Depth, Depth, Depth] | None:
     """Window, distance from the axis, clearance and cost in the room around a joint: outside, near its two bones.
 
@@ -265,8 +260,6 @@ def _room(
     free = np.minimum(np.minimum(np.float32(across) - radial, ends), close)
     for index in bodies[1]:
         free = np.minimum(free, -near - _part_of(bones[index], grid, window))
-    if not pinching:
-        free = np.minimum(free, -near - farther)
     dear = _cost(np.float32(SHALLOW)) * (1 + radial / np.float32(across))
     dear *= np.where(farther > -near, np.float32(PINCH), 1) * np.where(nearer > -near, np.float32(SKIMMING), 1)
     return window, radial, free, dear

@@ -136,8 +136,8 @@ class RouteGraph:
             (data, np.concatenate([column, node[order].astype(np.int32)]), np.append(indptr, np.int32(len(data)))),
             shape=(size, size),
         )
-        length, before = csgraph.dijkstra(graph, indices=size - 1, return_predecessors=True, limit=limit)
-        return Tree(length[:-1], before[:-1], cost)
+        length, before = csgraph.dijkstra(graph, indices=[size - 1], return_predecessors=True, limit=limit)
+        return Tree(length[0, :-1], before[0, :-1], cost)
 
     def _from_controller(self) -> Mouths:
         box, seats = self.blueprint.box("controller"), len(self.blueprint.seats)
@@ -181,14 +181,14 @@ class RouteGraph:
         radius = EASE * self.blueprint.catalogue.wire.bend_radius
         side = _ring(out)
         leads, headings, lengths = [], [], []
-        for turn in TURNS:
+        for angle in TURNS:
             # The arc that does not turn is as long as half of one that turns at right angles.
-            arc = turn * np.array([1 / 3, 2 / 3, 1])
-            ahead = np.sin(arc) if turn else np.array([1 / 3, 2 / 3, 1]) * (np.pi / 4)
-            around = side if turn else side[:1]
+            arc = angle * np.array([1 / 3, 2 / 3, 1])
+            ahead = np.sin(arc) if angle else np.array([1 / 3, 2 / 3, 1]) * (np.pi / 4)
+            around = side if angle else side[:1]
             leads.append(ahead[:, None] * out[None, :, None] + (1 - np.cos(arc))[:, None] * around[:, :, None])
-            headings.append(np.cos(turn) * out + np.sin(turn) * around)
-            lengths.append(np.full(len(around), radius * max(turn, np.pi / 4)))
+            headings.append(np.cos(angle) * out + np.sin(angle) * around)
+            lengths.append(np.full(len(around), radius * max(angle, np.pi / 4)))
         points = outer[:, None] + radius * np.concatenate(leads)  # (turn, mouth, along, 3)
         at = np.round((points[:, :, 2] - clearance.origin) / clearance.spacing).astype(int)
         inside = ((at >= 0) & (at < clearance.values.shape)).all(axis=-1)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
 
 from mfg.blueprint import Blueprint
-from mfg.elastic_band import nearest_of
 from mfg.fields import Field
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
@@ -46,9 +46,7 @@ def bottleneck(
         window = field.clearance.window((low + high) / 2, (high - low) / 2)
         if window is not None:
             points = np.stack(np.broadcast_arrays(*field.clearance.axes(window)), axis=-1).reshape(-1, 3)
-            away = np.concatenate(
-                [nearest_of(part, others)[0] for part in np.array_split(points, 1 + len(points) // 2000)]
-            )
+            away = np.asarray(cKDTree(others).query(points)[0])
             shape = clearance[window].shape
             clearance[window] = np.minimum(clearance[window], (away - reach).reshape(shape).astype(np.float32))
     start, out = controller_mouths(blueprint.box("controller"), margins)
@@ -62,8 +60,8 @@ def bottleneck(
         return Failure(
             Stage.WIRE,
             Reason.NO_ROUTE,
-            f"{name} finds no way from the controller to the motor of {joint} with even {1e3 * SEARCHED:.0f} mm less room "
-            f"than a tunnel of radius {need} takes; bone that joins the two would mend it",
+            f"{name} finds no way from the controller to the motor of {joint}, even with {1e3 * SEARCHED:.0f} mm less "
+            "room around it than it needs; bone that joins the two would mend it",
         )
     while high_room - low_room > ACCURACY:
         middle = (low_room + high_room) / 2
@@ -76,8 +74,8 @@ def bottleneck(
         return Failure(
             Stage.WIRE,
             Reason.NO_ROUTE,
-            f"{name} has a way with {1e3 * low_room:.1f} mm to spare, tightest {place}, but none that a cable can enter "
-            f"straight at the controller and at the motor of {joint}; more bone around these would mend it",
+            f"{name} has a way with {1e3 * low_room:.1f} mm to spare, tightest {place}, but none that it can enter straight "
+            f"at the controller and at the motor of {joint}; more bone around these would mend it",
         )
     return Failure(
         Stage.WIRE,

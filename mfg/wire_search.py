@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mfg.blueprint import Blueprint, WireRun
 from mfg.elastic_band import nearest_of, relaxed
 from mfg.outcome import Failure, Reason, Stage
-from mfg.route_field import Margins, RouteField
+from mfg.route_field import Margins, Obstacles, RouteField
 from mfg.route_graph import RouteGraph, Way
 from mfg.scores import cable_score
 from mfg.wire_bottleneck import bottleneck, where
@@ -66,22 +66,21 @@ class SearchWireSolver:
         away = [float(np.linalg.norm(seat.T_design_motor[:3, 3] - controller)) for seat in blueprint.seats]
         farthest = sorted(range(len(away)), key=lambda k: (-away[k], k))
         strict = Margins(radius, self.gap, self.wall)
+        open_wall = replace(strict, wall=-radius)
         attempts = (
-            (strict, farthest, ""),
-            (strict, farthest[::-1], ""),
-            (replace(strict, wall=-radius), farthest, "lies open in the surface of a bone in places"),
-            (replace(strict, wall=-radius, shafts=False), farthest,
-             "crosses an insertion shaft: lay it after the boxes are in"),
-        )  # fmt: skip
+            (strict, farthest),
+            (strict, farthest[::-1]),
+            (open_wall, farthest),
+            (replace(open_wall, shafts=False), farthest),
+        )
         failure: Failure | None = None
         graphs: dict[Margins, RouteGraph] = {}
-        for margins, order, note in attempts:
+        for margins, order in attempts:
             if margins not in graphs:
                 graphs[margins] = RouteGraph(blueprint, RouteField.of(blueprint, margins), margins, self.approach)
             answer = self._routed(blueprint, graphs[margins], order)
             if not isinstance(answer, Failure):
-                notes = [f"{run.name} {note}" for run in answer] if note else []
-                return self._finished(blueprint, answer, notes)
+                return self._finished(blueprint, answer, _compromises(answer, blueprint, margins, graphs[strict]))
             failure = failure or answer
         assert failure is not None
         if self.surface:
@@ -212,6 +211,22 @@ class _Fault:
     size: float
     point: Array
     late: bool
+
+
+def _compromises(runs: list[WireRun], blueprint: Blueprint, margins: Margins, strict: RouteGraph) -> list[str]:
+    """Notes on the cables that keep less to themselves than they should."""
+    if margins == strict.margins:
+        return []
+    notes = []
+    shafts = Obstacles.of(blueprint, shafts=True)
+    for run in runs:
+        fine = resampled(run.path, 0.002)[5:-8]
+        short = -strict.field.clearance.sample(fine) > 2 * SHORT
+        if not margins.shafts and (shafts.distance(fine)[-len(blueprint.boxes) :] < run.radius).any():
+            notes.append(f"{run.name} crosses an insertion shaft: lay it after the boxes are in")
+        elif short.any():
+            notes.append(f"{run.name} lies open in the surface of a bone, or nearly, along {2 * int(short.sum())} mm")
+    return notes
 
 
 def bends(path: Array, chord: float = CHORD) -> Array:
