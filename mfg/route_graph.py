@@ -299,7 +299,8 @@ def motor_mouths(seat: MotorSeat, mount: Mount, radius: float) -> tuple[Array, A
     angle = np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
     side = np.cos(angle)[:, None] * T[:3, 0] + np.sin(angle)[:, None] * T[:3, 1]
     foot = T[:3, 3] + (mount.housing_low + 2 * radius) * T[:3, 2]
-    points = foot + (mount.housing_radius + radius + (mount.cavity_radius - mount.housing_radius) / 2) * side
+    # A tunnel that touches the housing opens into the gap around it, facets and all; farther off a film could stay.
+    points = foot + (mount.housing_radius + radius) * side
     round_about = np.cross(T[:3, 2], side)
     slanted = [
         np.cos(SLANT) * side + np.sin(SLANT) * (c * round_about + s * T[:3, 2])

@@ -74,8 +74,8 @@ def bottleneck(
         return Failure(
             Stage.WIRE,
             Reason.NO_ROUTE,
-            f"{name} has a way with {1e3 * low_room:.1f} mm to spare, tightest {place}, but none that it can enter straight "
-            f"at the controller and at the motor of {joint}; more bone around these would mend it",
+            f"{name} has a way with {1e3 * low_room:.1f} mm to spare, tightest {place}, but none that it can enter "
+            f"straight at the controller and at the motor of {joint}; more bone around these would mend it",
         )
     return Failure(
         Stage.WIRE,

@@ -42,7 +42,7 @@ class SearchWireSolver:
         approach: straight stretch of a tunnel at the controller and at the motor, so that a plug goes in [m].
         reserve: slack at a crossing beyond what the joint's range needs [m].
         step: between points of a path [m].
-        schedules: with which weights of bending [steps^4] and how many rounds each the bands are relaxed, tried in order.
+        schedules: weights of bending [steps^4] and rounds at each that a band is relaxed with, tried in order.
         tries: how many pairs of mouths are tried for one cable.
         max_length: longest cable that is worth pulling [m].
         surface: whether the way along the surface counts where there is none inside.
