@@ -124,6 +124,25 @@ class BoxSeat:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Crossing:
+    """Where a cable passes from one bone to the next, free to follow the joint between them.
+
+    Attributes:
+        hinge: index into `blueprint.hinges`.
+        position: middle of the free stretch [m], (3,).
+        span: length of the free stretch in the rest pose [m].
+        needed: least free length at the lower and the upper end of the joint's range [m].
+        slack: cable to be left over there beyond the tunnel's length [m].
+    """
+
+    hinge: int
+    position: NDArray[np.float64]
+    span: float
+    needed: tuple[float, float]
+    slack: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class WireRun:
     """One cable tunnel from the controller box to a motor.
 
@@ -132,17 +151,29 @@ class WireRun:
         seat: index into `blueprint.seats` of the motor it serves.
         path: centre line in the design frame [m], (k, 3), from the controller to the motor.
         radius: of the tunnel [m].
+        crossings: of joints, from the controller on, where slack was worked out.
     """
 
     name: str
     seat: int
     path: NDArray[np.float64]
     radius: float
+    crossings: tuple[Crossing, ...] = ()
 
     @property
     def length(self) -> float:
         """Length of the centre line [m]."""
         return float(np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum())
+
+    @property
+    def slack(self) -> float:
+        """Cable left over at the joints [m]."""
+        return sum(crossing.slack for crossing in self.crossings)
+
+    @property
+    def cable_length(self) -> float:
+        """Length of cable to cut: tunnel and slack [m]."""
+        return self.length + self.slack
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -124,6 +124,11 @@ def cylinder_moments(mass: float, radius: float, length: float, pose: Transform)
     return _at(mass, np.diag([radius**2 / 4, radius**2 / 4, length**2 / 12]), pose)
 
 
+def point_moments(mass: float, position: NDArray[np.float64]) -> Moments:
+    """A small thing at a point (3,) [m]."""
+    return Moments(mass, mass * position, mass * np.outer(position, position))
+
+
 def polyline_moments(mass_per_metre: float, path: NDArray[np.float64]) -> Moments:
     """A thin cable along points (k, 3) [m]."""
     pieces = np.stack([path[:-1].T, path[1:].T])
@@ -194,6 +199,10 @@ def component_moments(blueprint: Blueprint) -> list[tuple[int, Moments]]:
     linear = catalogue.wire.mass_per_metre
     for wire in blueprint.wires:
         found += [(body, polyline_moments(linear, path)) for body, path in wire_stretches(wire, blueprint)]
+        for crossing in wire.crossings:
+            hinge = blueprint.hinges[crossing.hinge]
+            loop = point_moments(linear * crossing.slack / 2, crossing.position)
+            found += [(hinge.parent, loop), (hinge.body, loop)]
     return found
 
 

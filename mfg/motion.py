@@ -46,11 +46,12 @@ class MotionSolver:
         bodies, hinges = list(blueprint.bodies), []
         volumes = [body.bone.volume() for body in bodies]
         for hinge in blueprint.hinges:
-            pair = _CylindricalPair.sample(bodies[hinge.parent].bone, bodies[hinge.body].bone, hinge, self)
+            bones = bodies[hinge.parent].bone, bodies[hinge.body].bone
+            pair = CylindricalPair.sample(*bones, hinge, self.angle_step, self.radial_step)
             allowed = self.max_interference * min(volumes[hinge.parent], volumes[hinge.body])
             low, high = (float(v) for v in hinge.range)
             if pair is not None:
-                low, high = _feasible(pair.interference(), hinge.range, allowed, pair.step)
+                low, high = feasible(pair.interference(), hinge.range, allowed, pair.step)
             if high - low < self.min_range:
                 return Failure(
                     Stage.MOTOR,
@@ -64,32 +65,33 @@ class MotionSolver:
             # The heavier bone of the pair gives way: it has more to give.
             carved = hinge.parent if volumes[hinge.parent] >= volumes[hinge.body] else hinge.body
             swept = pair.swept(low, high, of_child=carved == hinge.parent)
-            bodies[carved], lost = _carve(bodies[carved], pair, swept, hinge, self.gap)
+            bodies[carved], lost = carve(bodies[carved], pair, swept, hinge, self.gap)
             if lost > self.max_loss:
                 return Failure(
                     Stage.MOTOR,
                     Reason.BONE_SEVERED,
                     f"clearing the sweep of {hinge.name} cuts {100 * lost:.0f} % off {bodies[carved].name}",
                 )
-        rounded = tuple(
+        bodies = [
             replace(
                 body,
-                bone=self._rounded(body.bone),
-                skin=None if body.skin is None else self._rounded(body.skin),
+                bone=rounded(body.bone, self.rounding),
+                skin=None if body.skin is None else rounded(body.skin, self.rounding),
             )
             for body in bodies
-        )
-        return replace(blueprint, bodies=rounded, hinges=tuple(hinges))
+        ]
+        return replace(blueprint, bodies=tuple(bodies), hinges=tuple(hinges))
 
-    def _rounded(self, field: Field) -> Field:
-        """Take the sharp convex edges off that cutting left, thinner than the lattice can carry; add nothing."""
-        blurred = ndimage.gaussian_filter(field.values, self.rounding, mode="nearest", truncate=2.5)
-        # On a smooth surface the blur recedes by far less than a quarter of a sample.
-        return field.with_values(np.minimum(field.values, blurred + np.float32(0.25 * field.spacing)))
+
+def rounded(field: Field, width: float) -> Field:
+    """Take the sharp convex edges off that cutting left, thinner than the lattice can carry; add nothing."""
+    blurred = ndimage.gaussian_filter(field.values, width, mode="nearest", truncate=2.5)
+    # On a smooth surface the blur recedes by far less than a quarter of a sample.
+    return field.with_values(np.minimum(field.values, blurred + np.float32(0.25 * field.spacing)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _CylindricalPair:
+class CylindricalPair:
     """Depths of two bones on a common (radius, angle, height) grid about a hinge axis."""
 
     parent: NDArray[np.float32]
@@ -100,17 +102,20 @@ class _CylindricalPair:
     step: float
 
     @staticmethod
-    def sample(parent: Field, child: Field, hinge: Hinge, theta: MotionSolver) -> _CylindricalPair | None:
+    def sample(
+        parent: Field, child: Field, hinge: Hinge, angle_step: float, radial_step: float
+    ) -> CylindricalPair | None:
+        """Sample two bones, or give None where no circle about the axis meets both."""
         frame = motor_pose(hinge.position, hinge.axis, 0.0)[:3, :3].T
         reach = [_reach(f, hinge.position, frame) for f in (parent, child)]
         r_low, r_high = max(r[0] for r in reach), min(r[1] for r in reach)
         z_low, z_high = max(r[2] for r in reach), min(r[3] for r in reach)
-        step = theta.radial_step
+        step = radial_step
         if r_high - r_low < step or z_high - z_low < step:
             return None
         radius = np.arange(max(r_low - step, step / 2), r_high + step, step)
         height = np.arange(z_low - step, z_high + step, step)
-        count = round(2 * np.pi / theta.angle_step)
+        count = round(2 * np.pi / angle_step)
         angle = np.arange(count) * (2 * np.pi / count)
         circle = np.cos(angle)[:, None] * frame[0] + np.sin(angle)[:, None] * frame[1]
         points = (
@@ -118,7 +123,7 @@ class _CylindricalPair:
             + radius[:, None, None, None] * circle[None, :, None, :]
             + height[None, None, :, None] * frame[2]
         )
-        return _CylindricalPair(parent.sample(points), child.sample(points), frame, radius, height, 2 * np.pi / count)
+        return CylindricalPair(parent.sample(points), child.sample(points), frame, radius, height, 2 * np.pi / count)
 
     def interference(self) -> NDArray[np.float64]:
         """Overlap volume of the bones with the child turned by k steps, for every k [m3]."""
@@ -159,7 +164,7 @@ def _reach(field: Field, centre: NDArray[np.float64], frame: NDArray[np.float64]
     return float(radius.min()), float(radius.max()), float(local[:, 2].min()), float(local[:, 2].max())
 
 
-def _feasible(
+def feasible(
     interference: NDArray[np.float64], wanted: NDArray[np.float64], allowed: float, step: float
 ) -> tuple[float, float]:
     """Widest range around 0 within `wanted` in which the interference stays below `allowed`."""
@@ -174,9 +179,10 @@ def _feasible(
     return limits[0], limits[1]
 
 
-def _carve(
-    body: Body, pair: _CylindricalPair, swept: NDArray[np.float32], hinge: Hinge, gap: float
+def carve(
+    body: Body, pair: CylindricalPair, swept: NDArray[np.float32], hinge: Hinge, gap: float
 ) -> tuple[Body, float]:
+    """The body without a swept region, and the share of its bone that this leaves floating, which is dropped."""
     field = body.bone
     solid = field.values > -2 * field.spacing
     if not solid.any():

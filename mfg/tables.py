@@ -24,7 +24,7 @@ def bill_of_materials(blueprint: Blueprint) -> str:
     rows.append(("encoder", encoder.name, motors, "pcs", "", f"1 per joint, {encoder.source}; not in the mass model"))
     for pattern, use in ((motor.body_screws, "motor to holder"), (motor.output_screws, "motor to connector")):
         rows.append(("screw", pattern.screw, pattern.count * motors, "pcs", "", f"{pattern.count} per joint, {use}"))
-    length = sum(wire.length for wire in blueprint.wires)
+    length = sum(wire.cable_length for wire in blueprint.wires)
     mass = catalogue.wire.mass_per_metre * length
     rows.append(("cable", catalogue.wire.name, f"{length:.2f}", "m", _grams(mass), catalogue.wire.source))
     for material, filament in (("rigid", catalogue.rigid), ("soft", catalogue.soft)):
@@ -46,7 +46,7 @@ def wiring_table(blueprint: Blueprint) -> str:
         hinge = blueprint.hinges[seat.hinge]
         mates = blueprint.bodies[seat.holder].name, blueprint.bodies[seat.connector].name
         address = (*can_address(wire.seat), turn_sign(blueprint, seat))
-        rows.append((wire.name, "controller", hinge.name, f"{1e3 * wire.length:.0f}", *address, *mates))
+        rows.append((wire.name, "controller", hinge.name, f"{1e3 * wire.cable_length:.0f}", *address, *mates))
     header = ("wire", "from", "to", "length_mm", "bus", "can_id", "sign", "motor_held_by", "output_screwed_to")
     return _csv(header, rows)
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint, Hinge
 from mfg.bones import BoneSolver
-from mfg.motion import MotionSolver, _CylindricalPair, _running_maximum
+from mfg.motion import CylindricalPair, MotionSolver, _running_maximum
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.skeleton import SkeletonSolver
@@ -42,7 +42,7 @@ def test_interference_equals_the_exact_boolean(elbow: VoxelDesign) -> None:
     blueprint = boned(elbow)
     theta, hinge = MotionSolver(), blueprint.hinges[0]
     parent, child = (blueprint.bodies[i].bone for i in (hinge.parent, hinge.body))
-    pair = _CylindricalPair.sample(parent, child, hinge, theta)
+    pair = CylindricalPair.sample(parent, child, hinge, theta.angle_step, theta.radial_step)
     assert pair is not None
     curve = pair.interference()
     P, C = from_field(parent), from_field(child)

@@ -1,0 +1,86 @@
+"""Cables as elastic bands: least bending between their straight ends, pushed out of whatever they come too near to."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.route_field import RouteField
+from mfg.wires import resampled
+
+Array = NDArray[np.float64]
+MARGIN = 4e-4  # by how much farther than it must a band keeps from everything [m]
+TENSION = 0.003  # weight of length against bending, per square of the step
+
+
+def relaxed(
+    way: Array, field: RouteField, others: Array, apart: float, step: float, schedule: tuple[tuple[float, int], ...]
+) -> Array:
+    """Bend as little as the field and the other tunnels allow: alternating directions of multipliers.
+
+    Each round smooths the band towards targets, and takes as targets the nearest points that keep clear; what the two
+    disagree on is carried over, so that in the end they agree.
+
+    Args:
+        way: (k, 3), the ends of its straight approaches second and last but one [m].
+        field: of the free room.
+        others: points of other tunnels, at most a few millimetres apart, (m, 3) [m].
+        apart: least distance to their centre lines [m].
+        step: between points of the band [m].
+        schedule: weight of bending against closeness to the targets, in steps to the fourth, and how many rounds.
+
+    Returns:
+        The band's points, (n, 3); it may come too near to things where there is no room.
+    """
+    head, tail = _evenly(way[0], way[1], step), _evenly(way[-2], way[-1], step)
+    middle = resampled(way[1:-1], step)[1:-1]
+    points = np.concatenate([head, middle, tail])
+    free = slice(len(head), len(head) + len(middle))
+    fixed = np.r_[: free.start, free.stop : len(points)]
+    bend, pull = np.diff(np.eye(len(points)), n=2, axis=0), np.diff(np.eye(len(points)), axis=0)
+    energy = bend.T @ bend + TENSION * pull.T @ pull
+    value, vector = np.linalg.eigh(energy[free, free])
+    steady = vector.T @ (energy[free][:, fixed] @ points[fixed])
+    low, high = points.min(axis=0) - apart - 0.01, points.max(axis=0) + apart + 0.01
+    others = others[((others >= low) & (others <= high)).all(axis=1)]
+    moving, carried, before = points[free], np.zeros((len(middle), 3)), 0.0
+    for weight, rounds in schedule:
+        # What is carried over is a force over the weight of closeness.
+        carried *= weight / before if before else 0.0
+        before = weight
+        for _ in range(rounds):
+            target = moving + carried
+            target += _pushed(target, others, field, apart)
+            carried += moving - target
+            wanted = vector.T @ (target - carried) - weight * steady
+            moving = vector @ (wanted / (1 + weight * value)[:, None])
+    points[free] = moving
+    return points
+
+
+def _pushed(points: Array, others: Array, field: RouteField, apart: float) -> Array:
+    """By how much points (n, 3) must move to keep clear [m]."""
+    push = np.zeros_like(points)
+    short = MARGIN - field.clearance.sample(points).astype(np.float64)
+    low = np.flatnonzero(short > 0)
+    if len(low):
+        push[low] = np.minimum(short[low], field.clearance.spacing)[:, None] * field.slope(points[low])
+    if len(others):
+        away, nearest = nearest_of(points, others)
+        gap = apart + MARGIN - away
+        close = np.flatnonzero(gap > 0)
+        out = (points[close] - others[nearest[close]]) / np.maximum(away[close], 1e-6)[:, None]
+        push[close] += gap[close][:, None] * out
+    return push
+
+
+def nearest_of(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Distance from each point (n, 3) to the nearest of others (m, 3), and which one that is."""
+    squared = ((points[:, None] - others) ** 2).sum(axis=2)
+    nearest = squared.argmin(axis=1)
+    return np.sqrt(squared[np.arange(len(points)), nearest]), nearest
+
+
+def _evenly(a: Array, b: Array, step: float) -> Array:
+    count = max(2, round(float(np.linalg.norm(b - a)) / step)) + 1
+    return a + np.linspace(0, 1, count)[:, None] * (b - a)
