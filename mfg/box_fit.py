@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +52,16 @@ def box_points(half: Array, step: float) -> Array:
 
 def box_surface(half: Array, step: float) -> Array:
     """Those of `box_points` on the surface, corners first."""
-    points = box_points(half, step)
-    extreme = (np.abs(points) > half - 1e-9).sum(axis=1)
-    return points[np.argsort(-extreme, kind="stable")][: int((extreme > 0).sum())]
+    return _surface((float(half[0]), float(half[1]), float(half[2])), step)
+
+
+@lru_cache(maxsize=32)
+def _surface(half: tuple[float, float, float], step: float) -> Array:
+    points = box_points(np.array(half), step)
+    extreme = (np.abs(points) > np.array(half) - 1e-9).sum(axis=1)
+    found = points[np.argsort(-extreme, kind="stable")][: int((extreme > 0).sum())]
+    found.flags.writeable = False
+    return found
 
 
 def least_depth(depth: Field, half: Array, centre: Array, turn: Array, step: float) -> Array:
@@ -108,9 +116,7 @@ def spread(found: Places, count: int) -> Places:
     """At most `count` places, the best of every cell before the second best of any."""
     if len(found) <= count:
         return found
-    cell = np.floor(found.centre / CELL).astype(int)
-    _, cell = np.unique(cell, axis=0, return_inverse=True)
-    cell = cell.reshape(-1)
+    cell = np.floor(found.centre / CELL).astype(int) @ np.array([1 << 40, 1 << 20, 1])
     order = np.lexsort((-found.margin, cell))
     first = np.searchsorted(cell[order], cell[order])  # where the own cell begins
     rank = np.zeros(len(order), int)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mfg.box_fit import SURFACE, Places, box_surface, separation
+from mfg.box_fit import Places, box_surface, separation
 from mfg.fields import Field
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def layouts_of(places: tuple[Places, ...], wall: float) -> Layout:
     )
 
 
-def refined(depth: Field, layout: Layout, wall: float, steps: tuple[float, ...]) -> Layout:
+def refined(depth: Field, layout: Layout, wall: float, steps: tuple[float, ...], sample: float) -> Layout:
     """Shift and turn the boxes of every layout that does not fit yet, as long as that helps.
 
     Steepest ascent of a smooth stand-in for the margin; where a step gains nothing, the next smaller one is tried. A
@@ -83,65 +83,80 @@ def refined(depth: Field, layout: Layout, wall: float, steps: tuple[float, ...])
         layout: to start from.
         wall: least depth of the cavities, and between them [m].
         steps: lengths of the moves [m], falling; a turn moves the corners of the box by as much.
+        sample: greatest distance between the points of a surface that are looked at [m].
     """
     half, centre, turn = layout.half, layout.centre.copy(), layout.turn.copy()
-    margin, soft = _judged(depth, half, centre, turn, wall)
+    rooms = _rooms(depth, half, centre, turn, sample)
+    margin, soft = _judged(rooms, half, centre, turn, wall)
     level = np.zeros(len(layout), int)
     for _ in range(ROUNDS):
         busy = np.flatnonzero((level < len(steps)) & (margin < ENOUGH))
         if not len(busy):
             break
-        slope = _slope(depth, half, centre[busy], turn[busy], soft[busy], wall)
+        slope = _slope(depth, [r[busy] for r in rooms], half, centre[busy], turn[busy], soft[busy], wall, sample)
         length = np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), 1e-12)
         move = slope / length * np.array(steps)[level[busy]][:, None, None]
         moved = _moved(half, centre[busy], turn[busy], move)
-        room, better = _judged(depth, half, *moved, wall)
+        tried = _rooms(depth, half, *moved, sample)
+        least, better = _judged(tried, half, *moved, wall)
         gains = better > soft[busy] + 1e-6
         rows = busy[gains]
         level[busy[~gains]] += 1
         centre[rows], turn[rows], margin[rows], soft[rows] = (
             moved[0][gains],
             moved[1][gains],
-            room[gains],
+            least[gains],
             better[gains],
         )
+        for room, new in zip(rooms, tried, strict=True):
+            room[rows] = new[gains]
     return Layout(half, centre, turn, margin, np.arange(margin.size * len(half)).reshape(-1, len(half)))
 
 
-def _depths(depth: Field, half: Array, centre: Array, turn: Array) -> Array:
-    """Depth all over the surface of one box at n places, (n, m) [m]."""
-    return depth.sample(centre[:, None] + box_surface(half, SURFACE) @ np.swapaxes(turn, 1, 2)).astype(np.float64)
+def _rooms(depth: Field, half: Array, centre: Array, turn: Array, sample: float) -> list[NDArray[np.float32]]:
+    """Depth all over the surface of every box in n layouts, (n, m) each [m]."""
+    return [_depths(depth, half[b], centre[:, b], turn[:, b], sample) for b in range(len(half))]
 
 
-def _judged(depth: Field, half: Array, centre: Array, turn: Array, wall: float) -> tuple[Array, Array]:
+def _depths(depth: Field, half: Array, centre: Array, turn: Array, sample: float) -> NDArray[np.float32]:
+    return depth.sample(centre[:, None] + box_surface(half, sample) @ np.swapaxes(turn, 1, 2))
+
+
+def _judged(
+    rooms: list[NDArray[np.float32]], half: Array, centre: Array, turn: Array, wall: float
+) -> tuple[Array, Array]:
     """Margin of every layout, and its smooth stand-in, which every shallow point pulls down a little [m]."""
-    rooms = [_depths(depth, half[b], centre[:, b], turn[:, b]) for b in range(len(half))]
-    return _least(rooms, half, centre, turn, wall)
-
-
-def _least(rooms: list[Array], half: Array, centre: Array, turn: Array, wall: float) -> tuple[Array, Array]:
     if len(half) == 2:
         gap = separation(half[0], centre[:, 0], turn[:, 0], half[1], centre[:, 1], turn[:, 1])
-        rooms = [*rooms, gap[:, None]]
-    room = np.concatenate(rooms, axis=1) - wall
+        rooms = [*rooms, gap[:, None].astype(np.float32)]
+    room = np.concatenate(rooms, axis=1) - np.float32(wall)
     margin = room.min(axis=1)
-    return margin, margin - SOFT * np.log(np.exp((margin[:, None] - room) / SOFT).sum(axis=1))
+    soft = margin - np.float32(SOFT) * np.log(np.exp((margin[:, None] - room) / np.float32(SOFT)).sum(axis=1))
+    return margin.astype(np.float64), soft.astype(np.float64)
 
 
-def _slope(depth: Field, half: Array, centre: Array, turn: Array, soft: Array, wall: float) -> Array:
+def _slope(
+    depth: Field,
+    rooms: list[NDArray[np.float32]],
+    half: Array,
+    centre: Array,
+    turn: Array,
+    soft: Array,
+    wall: float,
+    sample: float,
+) -> Array:
     """Gain of the stand-in per length of each of the 6 moves of every box, (n, k, 6)."""
     n, k = centre.shape[:2]
-    rooms = [_depths(depth, half[b], centre[:, b], turn[:, b]) for b in range(k)]
     slope = np.zeros((n, k, 6))
     for b in range(k):
         move = np.zeros((n, 6, k, 6))
         move[:, range(6), b, range(6)] = PROBE
         c, t = _moved(half, np.repeat(centre, 6, axis=0), np.repeat(turn, 6, axis=0), move.reshape(-1, k, 6))
         probed = [
-            _depths(depth, half[b], c[:, b], t[:, b]) if other == b else np.repeat(rooms[other], 6, axis=0)
+            _depths(depth, half[b], c[:, b], t[:, b], sample) if other == b else np.repeat(rooms[other], 6, axis=0)
             for other in range(k)
         ]
-        slope[:, b] = (_least(probed, half, c, t, wall)[1].reshape(n, 6) - soft[:, None]) / PROBE
+        slope[:, b] = (_judged(probed, half, c, t, wall)[1].reshape(n, 6) - soft[:, None]) / PROBE
     return slope
 
 

@@ -25,8 +25,12 @@ Array = NDArray[np.float64]
 STEPS = (0.004, 0.002, 0.001, 0.0005)  # lengths of the moves that mend near misses [m]
 PRINTED = 0.4  # share of a bone that walls and infill fill, for its weight (assumed)
 LOOKED_AT = 400  # layouts of one bone whose ways in are compared
+FINALISTS = 6  # mended layouts of one bone that are mended again, at a closer look
+COARSE, FINE = 0.018, 0.006  # greatest distances between points of a surface at the two looks [m]
+HOPELESS = 0.002  # miss after the first look that a closer one does not mend [m]
+FAR = 0.025  # greatest miss that is described exactly where nothing comes near [m]
 TRIED = 40  # ways in of one bone that are looked at closely
-CLOSE = 0.005  # greatest distance between points of a cavity in a close look [m]
+CLOSE = 0.006  # greatest distance between points of a cavity in a close look [m]
 TOUCH = 1.0e-4  # by which a point of a cavity may be too shallow in a close look [m]
 
 
@@ -73,7 +77,8 @@ class SearchElectronicsSolver:
         if found is not None:
             return scored(blueprint, *found)
         miss = search.miss()
-        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, miss.detail)
+        detail = f"no bones take the boxes with walls of {1e3 * self.wall:.0f} mm; closest: {miss.detail}"
+        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail)
 
     def closest_miss(self, blueprint: Blueprint) -> Miss | None:
         """How far the nearest placement is from being one, or None where there is one."""
@@ -113,15 +118,19 @@ class _Search:
 
     def miss(self) -> Miss:
         """The smallest change that would make room: for a pair, or for the box that finds none beside the other."""
-        misses = {kinds: [bone.miss(kinds) for bone in self.bones] for kinds in (KINDS, *((kind,) for kind in KINDS))}
-        options = [miss for miss in misses[KINDS] if miss is not None]
-        for battery, controller in itertools.permutations(range(len(self.bones)), 2):
-            both = [misses[("battery",)][battery], misses[("controller",)][controller]]
-            # Two bones would have to change: the worse one tells how far away that is.
-            missing = [miss for miss in both if miss is not None]
-            if missing:
-                options.append(max(missing, key=lambda miss: miss.shortfall))
-        return min(options, key=lambda miss: miss.shortfall)
+        options = [miss for miss in (bone.miss(KINDS) for bone in self.bones) if miss is not None]
+        needs = {kind: [(bool(bone.seats((kind,))), bone.miss((kind,))) for bone in self.bones] for kind in KINDS}
+        for b, c in itertools.permutations(range(len(self.bones)), 2):
+            (has_b, miss_b), (has_c, miss_c) = needs["battery"][b], needs["controller"][c]
+            if (has_b or miss_b) and (has_c or miss_c):
+                # Where two bones would have to change, the worse one tells how far away that is.
+                options.append(max((m for m in (miss_b, miss_c) if m is not None), key=lambda miss: miss.shortfall))
+        if options:
+            return min(options, key=lambda miss: miss.shortfall)
+        # Nothing comes near: the box that is worst off, in the bone with the most room.
+        kind = next(kind for kind in KINDS if not any(has or miss for has, miss in needs[kind]))
+        roomiest = max(self.bones, key=lambda bone: float(bone.host.free.values.max()))
+        return roomiest.far_miss(kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,27 +160,29 @@ class _Bone:
         return Surroundings.of(self.host.blueprint, self.host.index, rise + self.rules.wall)
 
     def layouts(self, kinds: tuple[Kind, ...]) -> Layout:
-        """Layouts that fit, else near misses after mending; the most roomy first."""
-        found = self._layouts.get(kinds)
-        if found is None:
-            found = layouts_of(tuple(self.places[kind] for kind in kinds), self.rules.wall)
-            if (found.margin >= 0).any():
-                found = found.only(found.margin >= 0)
-            else:
-                near = found.only(found.margin >= -self.rules.slack).nearest(self.rules.mended)
-                found = refined(self.host.free, near, self.rules.wall, STEPS)
-            found = self._layouts[kinds] = found.only(np.argsort(-found.margin, kind="stable"))
-        return found
+        """All layouts on the lattice and in the 64 orientations."""
+        return layouts_of(tuple(self.places[kind] for kind in kinds), self.rules.wall)
+
+    def mended(self, kinds: tuple[Kind, ...]) -> Layout:
+        """The most roomy layouts, shifted and turned to have more room, the best first."""
+        if kinds not in self._mended:
+            rules, found = self.rules, self.layouts(kinds)
+            found = found.only(found.margin >= -rules.slack).nearest(rules.mended)
+            found = refined(self.host.free, found, rules.wall, STEPS, COARSE).nearest(FINALISTS)
+            if len(found) and found.margin[0] >= -HOPELESS:
+                found = refined(self.host.free, found, rules.wall, STEPS[1:], FINE).nearest(FINALISTS)
+            self._mended[kinds] = found
+        return self._mended[kinds]
 
     def seats(self, kinds: tuple[Kind, ...]) -> tuple[BoxSeat, ...]:
         """The accepted placement of least cost, empty where there is none."""
         if kinds not in self._seats:
             found = self.layouts(kinds)
-            self._seats[kinds] = self._chosen(found.only(found.margin >= 0), kinds)
+            self._seats[kinds] = self._chosen(found, kinds) or self._chosen(self.mended(kinds), kinds)
         return self._seats[kinds]
 
     @cached_property
-    def _layouts(self) -> dict[tuple[Kind, ...], Layout]:
+    def _mended(self) -> dict[tuple[Kind, ...], Layout]:
         return {}
 
     @cached_property
@@ -180,6 +191,7 @@ class _Bone:
 
     def _chosen(self, found: Layout, kinds: tuple[Kind, ...]) -> tuple[BoxSeat, ...]:
         """The layout and the ways in of least cost that bear a close look."""
+        found = found.only(found.margin >= 0)
         if not len(found):
             return ()
         rules, n, k = self.rules, len(found), len(kinds)
@@ -240,10 +252,16 @@ class _Bone:
         return True
 
     def miss(self, kinds: tuple[Kind, ...]) -> Miss | None:
-        """How far the most roomy layout is from a placement, or None where there is one."""
-        if self.seats(kinds):
+        """How far the most roomy layout is from a placement; None where there is one or nothing comes near."""
+        if self.seats(kinds) or not len(self.mended(kinds)):
             return None
-        return miss_of(self.host, kinds, self.places, self.layouts(kinds), self.rules.wall)
+        return miss_of(self.host, kinds, self.mended(kinds), self.places[kinds[0]].half, self.rules.wall)
+
+    def far_miss(self, kind: Kind) -> Miss:
+        """Like `miss`, of a box that comes nowhere near."""
+        rules, half = replace(self.rules, slack=FAR), self.places[kind].half
+        found = _Bone(rules, self.host, self.middle).mended((kind,))
+        return miss_of(self.host, (kind,), found, half, rules.wall)
 
 
 def centre_of_mass(blueprint: Blueprint, hosts: list[Host]) -> Array:
