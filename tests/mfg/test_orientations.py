@@ -1,4 +1,4 @@
-"""The 64 orientations: proper rotations, none a half turn of another, the axis-aligned and principal ones among them."""
+"""The 64 orientations: proper rotations, none a half turn of another, axis-aligned and principal ones among them."""
 
 from __future__ import annotations
 
