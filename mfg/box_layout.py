@@ -12,7 +12,6 @@ from mfg.fields import Field
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64] | NDArray[np.bool_]
-SOFT = 1.0e-3  # differences in depth that the smooth stand-in for the margin evens out [m]
 PROBE = 5.0e-4  # length of the moves by which slopes are measured [m]
 ROUNDS = 24  # moves at most
 ENOUGH = 3.0e-4  # margin at which a layout needs no more mending [m]
@@ -72,8 +71,31 @@ def layouts_of(places: tuple[Places, ...], wall: float) -> Layout:
     )
 
 
-def refined(depth: Field, layout: Layout, wall: float, steps: tuple[float, ...], sample: float) -> Layout:
-    """Shift and turn the boxes of every layout that does not fit yet, as long as that helps.
+def joined(first: Layout, second: Layout) -> Layout:
+    """The layouts of both, each at places of its own."""
+    both = [np.concatenate(pair) for pair in ((first.centre, second.centre), (first.turn, second.turn))]
+    margin = np.concatenate([first.margin, second.margin])
+    place = np.arange(margin.size * len(first.half)).reshape(-1, len(first.half))
+    return Layout(first.half, both[0], both[1], margin, place)
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How closely layouts are looked at while they are mended.
+
+    Attributes:
+        steps: lengths of the moves [m], falling; a turn moves the corners of a box by as much.
+        sample: greatest distance between the points of a surface that are looked at [m].
+        soft: differences in depth that the smooth stand-in for the margin evens out [m].
+    """
+
+    steps: tuple[float, ...]
+    sample: float
+    soft: float
+
+
+def refined(depth: Field, layout: Layout, wall: float, look: Look) -> Layout:
+    """Shift and turn the boxes of every layout that does not fit yet, and give the best seen of each.
 
     Steepest ascent of a smooth stand-in for the margin; where a step gains nothing, the next smaller one is tried. A
     layout is done when it fits or when the steps are used up.
@@ -82,69 +104,67 @@ def refined(depth: Field, layout: Layout, wall: float, steps: tuple[float, ...],
         depth: distance to all that a cavity keeps away from [m].
         layout: to start from.
         wall: least depth of the cavities, and between them [m].
-        steps: lengths of the moves [m], falling; a turn moves the corners of the box by as much.
-        sample: greatest distance between the points of a surface that are looked at [m].
+        look: how far to move and how closely to look.
     """
     half, centre, turn = layout.half, layout.centre.copy(), layout.turn.copy()
-    rooms = _rooms(depth, half, centre, turn, sample)
-    margin, soft = _judged(rooms, half, centre, turn, wall)
+    steps = np.array(look.steps)
+    rooms = _rooms(depth, half, centre, turn, look)
+    margin, value = _judged(rooms, half, centre, turn, wall, look)
+    best = Layout(
+        half, centre.copy(), turn.copy(), margin.copy(), np.arange(centre[..., 0].size).reshape(-1, len(half))
+    )
     level = np.zeros(len(layout), int)
     for _ in range(ROUNDS):
         busy = np.flatnonzero((level < len(steps)) & (margin < ENOUGH))
         if not len(busy):
             break
-        slope = _slope(depth, [r[busy] for r in rooms], half, centre[busy], turn[busy], soft[busy], wall, sample)
+        slope = _slope(depth, [r[busy] for r in rooms], half, centre[busy], turn[busy], value[busy], wall, look)
         length = np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), 1e-12)
-        move = slope / length * np.array(steps)[level[busy]][:, None, None]
-        moved = _moved(half, centre[busy], turn[busy], move)
-        tried = _rooms(depth, half, *moved, sample)
-        least, better = _judged(tried, half, *moved, wall)
-        gains = better > soft[busy] + 1e-6
-        rows = busy[gains]
+        moved = _moved(half, centre[busy], turn[busy], slope / length * steps[level[busy]][:, None, None])
+        tried = _rooms(depth, half, *moved, look)
+        least, worth = _judged(tried, half, *moved, wall, look)
+        gains = worth > value[busy] + 1e-6
         level[busy[~gains]] += 1
-        centre[rows], turn[rows], margin[rows], soft[rows] = (
+        rows = busy[gains]
+        centre[rows], turn[rows], margin[rows], value[rows] = (
             moved[0][gains],
             moved[1][gains],
             least[gains],
-            better[gains],
+            worth[gains],
         )
         for room, new in zip(rooms, tried, strict=True):
             room[rows] = new[gains]
-    return Layout(half, centre, turn, margin, np.arange(margin.size * len(half)).reshape(-1, len(half)))
+        rows = rows[margin[rows] > best.margin[rows]]
+        best.centre[rows], best.turn[rows], best.margin[rows] = centre[rows], turn[rows], margin[rows]
+    return best
 
 
-def _rooms(depth: Field, half: Array, centre: Array, turn: Array, sample: float) -> list[NDArray[np.float32]]:
+def _rooms(depth: Field, half: Array, centre: Array, turn: Array, look: Look) -> list[NDArray[np.float32]]:
     """Depth all over the surface of every box in n layouts, (n, m) each [m]."""
-    return [_depths(depth, half[b], centre[:, b], turn[:, b], sample) for b in range(len(half))]
+    return [_depths(depth, half[b], centre[:, b], turn[:, b], look) for b in range(len(half))]
 
 
-def _depths(depth: Field, half: Array, centre: Array, turn: Array, sample: float) -> NDArray[np.float32]:
-    return depth.sample(centre[:, None] + box_surface(half, sample) @ np.swapaxes(turn, 1, 2))
+def _depths(depth: Field, half: Array, centre: Array, turn: Array, look: Look) -> NDArray[np.float32]:
+    return depth.sample(centre[:, None] + box_surface(half, look.sample) @ np.swapaxes(turn, 1, 2))
 
 
 def _judged(
-    rooms: list[NDArray[np.float32]], half: Array, centre: Array, turn: Array, wall: float
+    rooms: list[NDArray[np.float32]], half: Array, centre: Array, turn: Array, wall: float, look: Look
 ) -> tuple[Array, Array]:
     """Margin of every layout, and its smooth stand-in, which every shallow point pulls down a little [m]."""
     if len(half) == 2:
         gap = separation(half[0], centre[:, 0], turn[:, 0], half[1], centre[:, 1], turn[:, 1])
         rooms = [*rooms, gap[:, None].astype(np.float32)]
     room = np.concatenate(rooms, axis=1) - np.float32(wall)
-    margin = room.min(axis=1)
-    soft = margin - np.float32(SOFT) * np.log(np.exp((margin[:, None] - room) / np.float32(SOFT)).sum(axis=1))
-    return margin.astype(np.float64), soft.astype(np.float64)
+    margin, soft = room.min(axis=1), np.float32(look.soft)
+    value = margin - soft * np.log(np.exp((margin[:, None] - room) / soft).sum(axis=1))
+    return margin.astype(np.float64), value.astype(np.float64)
 
 
 def _slope(
-    depth: Field,
-    rooms: list[NDArray[np.float32]],
-    half: Array,
-    centre: Array,
-    turn: Array,
-    soft: Array,
-    wall: float,
-    sample: float,
-) -> Array:
+    depth: Field, rooms: list[NDArray[np.float32]], half: Array, centre: Array, turn: Array, value: Array, wall: float,
+    look: Look,
+) -> Array:  # fmt: skip
     """Gain of the stand-in per length of each of the 6 moves of every box, (n, k, 6)."""
     n, k = centre.shape[:2]
     slope = np.zeros((n, k, 6))
@@ -153,10 +173,10 @@ def _slope(
         move[:, range(6), b, range(6)] = PROBE
         c, t = _moved(half, np.repeat(centre, 6, axis=0), np.repeat(turn, 6, axis=0), move.reshape(-1, k, 6))
         probed = [
-            _depths(depth, half[b], c[:, b], t[:, b], sample) if other == b else np.repeat(rooms[other], 6, axis=0)
+            _depths(depth, half[b], c[:, b], t[:, b], look) if other == b else np.repeat(rooms[other], 6, axis=0)
             for other in range(k)
         ]
-        slope[:, b] = (_judged(probed, half, c, t, wall)[1].reshape(n, 6) - soft[:, None]) / PROBE
+        slope[:, b] = (_judged(probed, half, c, t, wall, look)[1].reshape(n, 6) - value[:, None]) / PROBE
     return slope
 
 

@@ -97,7 +97,7 @@ class ElectronicsSolver:
         """The best accepted orientation of one or both boxes in a host, or how far the closest one is from it."""
         if not (host.free.values > 0).any():
             return _Found(host, (), -max(sizes["battery"]))
-        layouts = _layouts(tuple(sizes[kind] for kind in kinds), self.clearance, self.wall)
+        layouts = side_by_side(tuple(sizes[kind] for kind in kinds), self.clearance, self.wall)
         best: tuple[float, float, tuple[BoxSeat, ...]] | None = None
         margin = -math.inf
         for frame in host.frames:
@@ -115,8 +115,8 @@ class ElectronicsSolver:
         return _Found(host, best[2] if best else (), margin)
 
     def _contained(
-        self, host: Host, frame: Array, layouts: _Layouts, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]
-    ) -> tuple[_Layouts, float]:
+        self, host: Host, frame: Array, layouts: Arrangements, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]
+    ) -> tuple[Arrangements, float]:
         """The layouts whose cavities are deep enough in the bone, and the greatest least depth past the wall [m]."""
         corners = layouts.centre[..., None, :] + CORNERS * layouts.half[..., None, :]
         depth = host.free.sample(host.anchor + corners @ frame.T) - np.float32(self.wall)
@@ -142,7 +142,9 @@ class ElectronicsSolver:
             least = np.minimum(least, depth.min(axis=1)[same])
         return layouts.only(np.flatnonzero(share >= self.containment)), float(least.max())
 
-    def _openings(self, host: Host, frame: Array, layouts: _Layouts, kinds: tuple[Kind, ...]) -> tuple[BoxSeat, ...]:
+    def _openings(
+        self, host: Host, frame: Array, layouts: Arrangements, kinds: tuple[Kind, ...]
+    ) -> tuple[BoxSeat, ...]:
         """Choose the layout, and for each box the opening, with the least interference as measured on the grid."""
         room = Room(host.blueprint, host.index, host.anchor, frame, self.grid, layouts.centre, layouts.half)
         n, k = layouts.order.shape
@@ -181,24 +183,24 @@ class _Found:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Layouts:
+class Arrangements:
     """n ways to put k boxes into a frame: `order` (n, k) indexes ORDERS, cavities have `centre`, `half` (n, k, 3)."""
 
     order: NDArray[np.int64]
     centre: Array
     half: Array
 
-    def only(self, rows: NDArray[np.int64]) -> _Layouts:
+    def only(self, rows: NDArray[np.int64]) -> Arrangements:
         """Some of the layouts."""
-        return _Layouts(self.order[rows], self.centre[rows], self.half[rows])
+        return Arrangements(self.order[rows], self.centre[rows], self.half[rows])
 
 
 @lru_cache(maxsize=16)
-def _layouts(sizes: tuple[Size, ...], clearance: float, wall: float) -> _Layouts:
+def side_by_side(sizes: tuple[Size, ...], clearance: float, wall: float) -> Arrangements:
     """All orders of one box at the origin, or of two side by side along any axis, centred together."""
     halves = [np.array(size)[ORDERS] / 2 + clearance for size in sizes]
     if len(sizes) == 1:
-        return _Layouts(np.arange(6)[:, None], np.zeros((6, 1, 3)), halves[0][:, None])
+        return Arrangements(np.arange(6)[:, None], np.zeros((6, 1, 3)), halves[0][:, None])
     order, centre, half = [], [], []
     for axis, a, b, side in itertools.product(range(3), range(6), range(6), (1.0, -1.0)):
         pair = np.stack([halves[0][a], halves[1][b]])
@@ -208,7 +210,7 @@ def _layouts(sizes: tuple[Size, ...], clearance: float, wall: float) -> _Layouts
         order.append((a, b))
         centre.append(place)
         half.append(pair)
-    return _Layouts(np.array(order), np.array(centre), np.array(half))
+    return Arrangements(np.array(order), np.array(centre), np.array(half))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,25 +11,27 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, BoxSeat
 from mfg.box_fit import Places, box_points, places
-from mfg.box_layout import Layout, layouts_of, refined
+from mfg.box_layout import Layout, Look, joined, layouts_of, refined
 from mfg.box_miss import Miss, miss_of
 from mfg.box_paths import WAYS, Surroundings, apart, ways_out
 from mfg.catalogue import Size
-from mfg.electronics import KINDS, Host, Kind, scored
+from mfg.electronics import CORNERS, KINDS, Host, Kind, scored, side_by_side
 from mfg.insertion import interference_above, outer_surface, shaft_height
 from mfg.mounts import mount_of
-from mfg.orientations import orientations
+from mfg.orientations import along, orientations
 from mfg.outcome import Failure, Reason, Stage
 
 Array = NDArray[np.float64]
-STEPS = (0.004, 0.002, 0.001, 0.0005)  # lengths of the moves that mend near misses [m]
 PRINTED = 0.4  # share of a bone that walls and infill fill, for its weight (assumed)
 LOOKED_AT = 400  # layouts of one bone whose ways in are compared
 FINALISTS = 6  # mended layouts of one bone that are mended again, at a closer look
-COARSE, FINE = 0.018, 0.006  # greatest distances between points of a surface at the two looks [m]
+COARSE = Look((0.004, 0.002, 0.001, 0.0005), sample=0.018, soft=1.0e-3)  # at first, for the nearest misses
+FINE = Look((0.002, 0.001, 0.0005), sample=0.006, soft=3.0e-4)  # then, for the best of them
 HOPELESS = 0.002  # miss after the first look that a closer one does not mend [m]
+ANCHORED = 3  # arrangements at the centre of mass that are mended too, in each of two frames
 FAR = 0.025  # greatest miss that is described exactly where nothing comes near [m]
 TRIED = 40  # ways in of one bone that are looked at closely
+ROUNDING = 1.0e-6  # a margin may be negative by so much [m]
 CLOSE = 0.006  # greatest distance between points of a cavity in a close look [m]
 TOUCH = 1.0e-4  # by which a point of a cavity may be too shallow in a close look [m]
 
@@ -127,10 +129,10 @@ class _Search:
                 options.append(max((m for m in (miss_b, miss_c) if m is not None), key=lambda miss: miss.shortfall))
         if options:
             return min(options, key=lambda miss: miss.shortfall)
-        # Nothing comes near: the box that is worst off, in the bone with the most room.
-        kind = next(kind for kind in KINDS if not any(has or miss for has, miss in needs[kind]))
+        # Nothing comes near: what is worst off, in the bone with the most room.
+        lost = [kind for kind in KINDS if not any(has or miss for has, miss in needs[kind])]
         roomiest = max(self.bones, key=lambda bone: float(bone.host.free.values.max()))
-        return roomiest.far_miss(kind)
+        return roomiest.far_miss((lost[0],) if lost else KINDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,14 +165,31 @@ class _Bone:
         """All layouts on the lattice and in the 64 orientations."""
         return layouts_of(tuple(self.places[kind] for kind in kinds), self.rules.wall)
 
+    def anchored(self, kinds: tuple[Kind, ...]) -> Layout:
+        """The arrangements of the paper's rules, at the bone's centre of mass, that come near: the best few."""
+        rules, half = self.rules, np.stack([self.places[kind].half for kind in kinds])
+        sizes = tuple(tuple(float(v) for v in 2 * (h - rules.clearance)) for h in half)
+        known = side_by_side(sizes, rules.clearance, rules.wall)
+        near = []
+        for frame in self.host.frames:
+            centre = self.host.anchor + known.centre @ frame.T
+            turn = along(frame)[known.order]
+            corners = centre[..., None, :] + (CORNERS * half[:, None]) @ np.swapaxes(turn, -1, -2)
+            margin = self.host.free.sample(corners).min(axis=(1, 2)) - np.float32(rules.wall)
+            best = np.argsort(-margin, kind="stable")[:ANCHORED]
+            best = best[margin[best] >= -rules.slack]
+            near.append(Layout(half, centre[best], turn[best], margin[best].astype(np.float64), known.order[best]))
+        return joined(*near)
+
     def mended(self, kinds: tuple[Kind, ...]) -> Layout:
         """The most roomy layouts, shifted and turned to have more room, the best first."""
         if kinds not in self._mended:
             rules, found = self.rules, self.layouts(kinds)
             found = found.only(found.margin >= -rules.slack).nearest(rules.mended)
-            found = refined(self.host.free, found, rules.wall, STEPS, COARSE).nearest(FINALISTS)
+            found = joined(found, self.anchored(kinds))
+            found = refined(self.host.free, found, rules.wall, COARSE).nearest(FINALISTS)
             if len(found) and found.margin[0] >= -HOPELESS:
-                found = refined(self.host.free, found, rules.wall, STEPS[1:], FINE).nearest(FINALISTS)
+                found = refined(self.host.free, found, rules.wall, FINE).nearest(FINALISTS)
             self._mended[kinds] = found
         return self._mended[kinds]
 
@@ -191,7 +210,7 @@ class _Bone:
 
     def _chosen(self, found: Layout, kinds: tuple[Kind, ...]) -> tuple[BoxSeat, ...]:
         """The layout and the ways in of least cost that bear a close look."""
-        found = found.only(found.margin >= 0)
+        found = found.only(found.margin >= -ROUNDING)
         if not len(found):
             return ()
         rules, n, k = self.rules, len(found), len(kinds)
@@ -257,11 +276,11 @@ class _Bone:
             return None
         return miss_of(self.host, kinds, self.mended(kinds), self.places[kinds[0]].half, self.rules.wall)
 
-    def far_miss(self, kind: Kind) -> Miss:
-        """Like `miss`, of a box that comes nowhere near."""
-        rules, half = replace(self.rules, slack=FAR), self.places[kind].half
-        found = _Bone(rules, self.host, self.middle).mended((kind,))
-        return miss_of(self.host, (kind,), found, half, rules.wall)
+    def far_miss(self, kinds: tuple[Kind, ...]) -> Miss:
+        """Like `miss`, of what comes nowhere near."""
+        rules, half = replace(self.rules, slack=FAR), self.places[kinds[0]].half
+        found = _Bone(rules, self.host, self.middle).mended(kinds)
+        return miss_of(self.host, kinds, found, half, rules.wall)
 
 
 def centre_of_mass(blueprint: Blueprint, hosts: list[Host]) -> Array:

@@ -28,7 +28,7 @@ def along(frame: Array) -> Array:
     """The 6 ways to lay the sides of a box along the axes (columns) of a right-handed frame, (6, 3, 3)."""
     ways = []
     for order in itertools.permutations(range(3)):
-        turn = np.eye(3)[:, order]
+        turn = np.eye(3)[list(order)]  # axis i of the frame carries side order[i]
         turn[:, 0] *= np.linalg.det(turn)
         ways.append(frame @ turn)
     return np.stack(ways)

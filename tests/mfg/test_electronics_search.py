@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mfg.blueprint import Blueprint, BoxSeat
 from mfg.box_fit import SURFACE, box_surface, least_depth, places, separation
-from mfg.box_layout import layouts_of, refined
+from mfg.box_layout import Look, layouts_of, refined
 from mfg.electronics import ElectronicsSolver, free_depth
 from mfg.electronics_search import SearchElectronicsSolver, closest_miss
 from mfg.exact import box_room, box_solid, interference_above, surface_points
@@ -79,6 +79,12 @@ def test_what_the_papers_rules_accept_is_accepted_and_keeps_every_promise(torso:
     assert [seat.kind for seat in placed.boxes] == ["battery", "controller"]
     assert {seat.body for seat in placed.boxes} == {0}
     check_exactly(placed)
+
+
+def test_a_bone_that_just_takes_both_side_by_side_is_accepted() -> None:
+    # Sharp edges, where trilinear samples lose most, and room for one arrangement only.
+    sides = np.array([0.105 + 0.008, 0.034 + 0.030 + 0.004 + 0.003 + 0.006, 0.060 + 0.008]) + 0.003
+    check_exactly(solved(blueprint_of([box_bone((0.3, 0.3, 0.3), sides)])))
 
 
 def test_a_bent_bone_takes_boxes_in_its_arms_but_not_at_its_centre_of_mass() -> None:
@@ -208,7 +214,7 @@ def test_mending_finds_the_place_in_a_bone_that_is_just_large_enough() -> None:
     start = places(free, BATTERY, orientations(np.eye(3)), SOLVER.wall, 0.012)
     near = layouts_of((start,), SOLVER.wall).nearest(8)
     assert near.margin.max() < 0
-    mended = refined(free, near, SOLVER.wall, (0.004, 0.002, 0.001, 0.0005), 0.01)
+    mended = refined(free, near, SOLVER.wall, Look((0.004, 0.002, 0.001, 0.0005), 0.01, 5e-4))
     assert mended.margin.max() >= 0
     assert (mended.margin >= near.margin - 5e-4).all()
 
