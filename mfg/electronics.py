@@ -64,13 +64,13 @@ class ElectronicsSolver:
             "battery": blueprint.catalogue.battery.size,
             "controller": blueprint.catalogue.computer.size,
         }
-        hosts = [_Host(blueprint, index, mount_of(blueprint.catalogue.motor)) for index in range(len(blueprint.bodies))]
+        hosts = [Host(blueprint, index, mount_of(blueprint.catalogue.motor)) for index in range(len(blueprint.bodies))]
         hosts.sort(key=lambda host: (-host.samples, host.index))
         together = []
         for host in hosts:
             found = self._seat(host, KINDS, sizes)
             if found.boxes:
-                return self._scored(blueprint, found.boxes, [host])
+                return scored(blueprint, found.boxes, [host])
             together.append(found)
         alone = {kind: [self._seat(host, (kind,), sizes) for host in hosts] for kind in KINDS}
         for small in range(1, len(hosts)):
@@ -78,7 +78,7 @@ class ElectronicsSolver:
                 for b, c in ((large, small), (small, large)):
                     boxes = alone["battery"][b].boxes, alone["controller"][c].boxes
                     if all(boxes):
-                        return self._scored(blueprint, boxes[0] + boxes[1], [hosts[b], hosts[c]])
+                        return scored(blueprint, boxes[0] + boxes[1], [hosts[b], hosts[c]])
         tries: dict[str, list[_Found]] = {
             "both": together,
             "battery": alone["battery"],
@@ -93,11 +93,11 @@ class ElectronicsSolver:
         detail = f"no bones take the boxes with walls of {1e3 * self.wall:.0f} mm (closest: {short})"
         return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail)
 
-    def _seat(self, host: _Host, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]) -> _Found:
+    def _seat(self, host: Host, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]) -> _Found:
         """The best accepted orientation of one or both boxes in a host, or how far the closest one is from it."""
         if not (host.free.values > 0).any():
             return _Found(host, (), -max(sizes["battery"]))
-        layouts = _layouts(tuple(sizes[kind] for kind in kinds), self.clearance, self.wall)
+        layouts = side_by_side(tuple(sizes[kind] for kind in kinds), self.clearance, self.wall)
         best: tuple[float, float, tuple[BoxSeat, ...]] | None = None
         margin = -math.inf
         for frame in host.frames:
@@ -115,8 +115,8 @@ class ElectronicsSolver:
         return _Found(host, best[2] if best else (), margin)
 
     def _contained(
-        self, host: _Host, frame: Array, layouts: _Layouts, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]
-    ) -> tuple[_Layouts, float]:
+        self, host: Host, frame: Array, layouts: Arrangements, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]
+    ) -> tuple[Arrangements, float]:
         """The layouts whose cavities are deep enough in the bone, and the greatest least depth past the wall [m]."""
         corners = layouts.centre[..., None, :] + CORNERS * layouts.half[..., None, :]
         depth = host.free.sample(host.anchor + corners @ frame.T) - np.float32(self.wall)
@@ -142,7 +142,9 @@ class ElectronicsSolver:
             least = np.minimum(least, depth.min(axis=1)[same])
         return layouts.only(np.flatnonzero(share >= self.containment)), float(least.max())
 
-    def _openings(self, host: _Host, frame: Array, layouts: _Layouts, kinds: tuple[Kind, ...]) -> tuple[BoxSeat, ...]:
+    def _openings(
+        self, host: Host, frame: Array, layouts: Arrangements, kinds: tuple[Kind, ...]
+    ) -> tuple[BoxSeat, ...]:
         """Choose the layout, and for each box the opening, with the least interference as measured on the grid."""
         room = Room(host.blueprint, host.index, host.anchor, frame, self.grid, layouts.centre, layouts.half)
         n, k = layouts.order.shape
@@ -170,52 +172,35 @@ class ElectronicsSolver:
             for slot, kind in enumerate(kinds)
         )  # fmt: skip
 
-    def _scored(self, blueprint: Blueprint, boxes: tuple[BoxSeat, ...], hosts: list[_Host]) -> Blueprint:
-        """Record the boxes; of two hosts the worse one counts."""
-        placed = replace(blueprint, boxes=boxes)
-        catalogue = blueprint.catalogue
-        V_cap = sum(interference_above(placed, box) for box in boxes)
-        electronics = [
-            electronics_score(
-                largest_clearance(host.free),
-                size_penalty(oriented_extents(host.outline), catalogue.printer.volume),
-                catalogue,
-            )
-            for host in hosts
-        ]
-        return placed.scored(
-            electronics=min(electronics), electronics_install=electronics_install_score(V_cap, catalogue)
-        )
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
     """What the search in one host came to; `margin` is the closest layout's least depth past the wall [m]."""
 
-    host: _Host
+    host: Host
     boxes: tuple[BoxSeat, ...]
     margin: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Layouts:
+class Arrangements:
     """n ways to put k boxes into a frame: `order` (n, k) indexes ORDERS, cavities have `centre`, `half` (n, k, 3)."""
 
     order: NDArray[np.int64]
     centre: Array
     half: Array
 
-    def only(self, rows: NDArray[np.int64]) -> _Layouts:
+    def only(self, rows: NDArray[np.int64]) -> Arrangements:
         """Some of the layouts."""
-        return _Layouts(self.order[rows], self.centre[rows], self.half[rows])
+        return Arrangements(self.order[rows], self.centre[rows], self.half[rows])
 
 
 @lru_cache(maxsize=16)
-def _layouts(sizes: tuple[Size, ...], clearance: float, wall: float) -> _Layouts:
+def side_by_side(sizes: tuple[Size, ...], clearance: float, wall: float) -> Arrangements:
     """All orders of one box at the origin, or of two side by side along any axis, centred together."""
     halves = [np.array(size)[ORDERS] / 2 + clearance for size in sizes]
     if len(sizes) == 1:
-        return _Layouts(np.arange(6)[:, None], np.zeros((6, 1, 3)), halves[0][:, None])
+        return Arrangements(np.arange(6)[:, None], np.zeros((6, 1, 3)), halves[0][:, None])
     order, centre, half = [], [], []
     for axis, a, b, side in itertools.product(range(3), range(6), range(6), (1.0, -1.0)):
         pair = np.stack([halves[0][a], halves[1][b]])
@@ -225,12 +210,18 @@ def _layouts(sizes: tuple[Size, ...], clearance: float, wall: float) -> _Layouts
         order.append((a, b))
         centre.append(place)
         half.append(pair)
-    return _Layouts(np.array(order), np.array(centre), np.array(half))
+    return Arrangements(np.array(order), np.array(centre), np.array(half))
 
 
 @dataclass(frozen=True, eq=False)
-class _Host:
-    """A body that may take a box."""
+class Host:
+    """A body that may take a box.
+
+    Attributes:
+        blueprint: with seats.
+        index: of the body.
+        mount: of every motor.
+    """
 
     blueprint: Blueprint
     index: int
@@ -245,6 +236,12 @@ class _Host:
     def samples(self) -> int:
         """Bone volume in lattice samples."""
         return int(np.count_nonzero(self.blueprint.bodies[self.index].bone.values > 0))
+
+    @cached_property
+    def middle(self) -> Array:
+        """Centre of mass of the bone [m], (3,)."""
+        bone = self.blueprint.bodies[self.index].bone
+        return (np.argwhere(bone.values > 0).mean(axis=0) + bone.corner) * bone.spacing
 
     @cached_property
     def free(self) -> Field:
@@ -289,6 +286,22 @@ class _Host:
         size = 2 * half[[(axis + 1) % 3, (axis + 2) % 3, axis]]
         seat = BoxSeat(kind, self.index, (float(size[0]), float(size[1]), float(size[2])), T, clearance, 0.0)
         return replace(seat, shaft=shaft_height(outer_surface(self.blueprint.bodies[self.index]), seat))
+
+
+def scored(blueprint: Blueprint, boxes: tuple[BoxSeat, ...], hosts: list[Host]) -> Blueprint:
+    """The blueprint with the boxes in their hosts and the two electronics scores; of two hosts the worse one counts."""
+    placed = replace(blueprint, boxes=boxes)
+    catalogue = blueprint.catalogue
+    V_cap = sum(interference_above(placed, box) for box in boxes)
+    electronics = [
+        electronics_score(
+            largest_clearance(host.free),
+            size_penalty(oriented_extents(host.outline), catalogue.printer.volume),
+            catalogue,
+        )
+        for host in hosts
+    ]
+    return placed.scored(electronics=min(electronics), electronics_install=electronics_install_score(V_cap, catalogue))
 
 
 def free_depth(blueprint: Blueprint, index: int) -> Field:

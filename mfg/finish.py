@@ -21,6 +21,7 @@ from mfg.exact import (
     tunnel,
 )
 from mfg.fields import Field
+from mfg.lids import Lid, lids_of
 from mfg.masses import body_masses, volume_moments
 from mfg.motors import MotorSolver
 from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
@@ -60,6 +61,7 @@ class FinishSolver:
         max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
         min_overlap: tau of Eq. 2, applied to the exact volumes [m3].
         alpha: of Eq. 3, as in the motor solver.
+        lids: whether the openings of the electronics boxes get lids with screws, as parts of their own.
     """
 
     gap: float = 1.5e-3
@@ -71,6 +73,7 @@ class FinishSolver:
     max_touch: float = 1.0e-9
     min_overlap: float = MIN_OVERLAP
     alpha: float = MotorSolver.alpha
+    lids: bool = False
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
@@ -78,8 +81,13 @@ class FinishSolver:
         bones = [from_field(body.bone, self.tolerance) for body in blueprint.bodies]
         tunnels = [tunnel(wire) for wire in blueprint.wires]
         parts: list[PrintedPart] = []
+        blueprint, lids = self._lids(blueprint, bones, tunnels) if self.lids else (blueprint, [])
         for index in range(len(blueprint.bodies)):
-            made = self._body(blueprint, index, bones[index], tunnels, mount)
+            own = [lid for lid in lids if blueprint.boxes[lid.seat].body == index]
+            made = self._body(blueprint, index, bones[index], tunnels, mount, own)
+            if isinstance(made, Failure) and own:
+                blueprint = blueprint.noted(f"{blueprint.bodies[index].name} is too weak for lids with screws")
+                made = self._body(blueprint, index, bones[index], tunnels, mount, [])
             if isinstance(made, Failure):
                 return made
             found, notes = made
@@ -98,6 +106,16 @@ class FinishSolver:
         if failure is not None:
             return failure
         return self._rescored(replace(blueprint, masses=body_masses(blueprint)), bones, mount)
+
+    def _lids(
+        self, blueprint: Blueprint, bones: Sequence[Solid], tunnels: Sequence[Solid]
+    ) -> tuple[Blueprint, list[Lid]]:
+        """The lids that can be made and printed, and notes of those that cannot."""
+        lids, notes = lids_of(blueprint, bones, tunnels)
+        kept = [lid for lid in lids if isinstance(self._whole(_lid_part(blueprint, lid)), PrintedPart)]
+        for note in notes:
+            blueprint = blueprint.noted(note)
+        return blueprint, kept
 
     def _rescored(self, blueprint: Blueprint, bones: Sequence[Solid], mount: Mount) -> Blueprint | Failure:
         """Replace what the fields estimated by what the solids say; the paths of cables are the same in both."""
@@ -133,10 +151,10 @@ class FinishSolver:
         return electronics_score(largest_ball(blueprint, index, bone), p_obb, blueprint.catalogue)
 
     def _body(
-        self, blueprint: Blueprint, index: int, bone: Solid, tunnels: Sequence[Solid], mount: Mount
+        self, blueprint: Blueprint, index: int, bone: Solid, tunnels: Sequence[Solid], mount: Mount, lids: Sequence[Lid]
     ) -> tuple[list[PrintedPart], list[str]] | Failure:
         body = blueprint.bodies[index]
-        room = union(self._room(blueprint, index, mount))
+        room = union(self._room(blueprint, index, mount) + [solid for lid in lids for solid in lid.room])
         mounts = union(own_mounts(blueprint, index, mount))
         pieces = (bone - room + mounts).minus(tunnels).components()
         total = sum(piece.volume for piece in pieces)
@@ -156,6 +174,7 @@ class FinishSolver:
         if lost > 0:
             notes.append(f"{body.name}: dropped {len(pieces) - 1} loose piece(s) of bone, {1e6 * lost:.2f} cm3 in all")
         parts = [PrintedPart(f"{body.name}_bone", index, "rigid", pieces[0])]
+        parts += [_lid_part(blueprint, lid) for lid in lids]
         if body.skin is None:
             return parts, notes
         soft = soft_region(body.skin, body.bone, self.min_skin)
@@ -223,6 +242,11 @@ class FinishSolver:
                     Stage.PRINT, Reason.TOO_LARGE, f"{body.name} measures {extents} mm; no way up fits {printer.name}"
                 )
         return None
+
+
+def _lid_part(blueprint: Blueprint, lid: Lid) -> PrintedPart:
+    seat = blueprint.boxes[lid.seat]
+    return PrintedPart(f"{blueprint.bodies[seat.body].name}_lid_{seat.kind}", seat.body, "rigid", lid.solid)
 
 
 def own_mounts(blueprint: Blueprint, index: int, mount: Mount) -> list[Solid]:

@@ -1,0 +1,136 @@
+"""Where a box fits inside a depth field: centres all over the volume, each in many orientations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.fields import OUTSIDE, Field
+
+Array = NDArray[np.float64]
+CENTRES = 900  # centres looked at in one bone; a bone with more has room, and every second sample will do
+CELL = 0.020  # edge of the cells over which the places that are kept are spread [m]
+KEPT = 160  # places kept for one box in one bone
+SURFACE = 0.012  # greatest distance between points on the surface of a box while places are compared [m]
+_SIGNS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Places:
+    """n places for one box.
+
+    Attributes:
+        half: half extents of the cavity [m], (3,).
+        centre: (n, 3) in the design frame [m].
+        turn: R_design_box, (n, 3, 3).
+        margin: least depth on the cavity's surface, beyond the wall [m], (n,); negative by as much as is missing.
+    """
+
+    half: Array
+    centre: Array
+    turn: Array
+    margin: Array
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.margin)
+
+    def only(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Places:
+        """Some of the places."""
+        return Places(self.half, self.centre[rows], self.turn[rows], self.margin[rows])
+
+
+def box_points(half: Array, step: float) -> Array:
+    """Points all through a box, its surface included, neighbours at most `step` apart [m]: (n, 3)."""
+    axes = [np.linspace(-h, h, math.ceil(2 * h / step) + 1) for h in half]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def box_surface(half: Array, step: float) -> Array:
+    """Those of `box_points` on the surface, corners first."""
+    return _surface((float(half[0]), float(half[1]), float(half[2])), step)
+
+
+@lru_cache(maxsize=32)
+def _surface(half: tuple[float, float, float], step: float) -> Array:
+    points = box_points(np.array(half), step)
+    extreme = (np.abs(points) > np.array(half) - 1e-9).sum(axis=1)
+    found = points[np.argsort(-extreme, kind="stable")][: int((extreme > 0).sum())]
+    found.flags.writeable = False
+    return found
+
+
+def least_depth(depth: Field, half: Array, centre: Array, turn: Array, step: float) -> Array:
+    """Least depth on the surface of a box at every place, trilinear: (n,) [m]."""
+    points = centre[:, None] + box_surface(half, step) @ np.swapaxes(turn, 1, 2)
+    return depth.sample(points).min(axis=1).astype(np.float64)
+
+
+def places(depth: Field, half: Array, turns: Array, wall: float, slack: float) -> Places:
+    """Places where a box is as deep as `wall`, or misses it by less than `slack`: spread out, the deepest first.
+
+    Args:
+        depth: distance to all that a cavity keeps away from [m].
+        half: half extents of the cavity [m], (3,).
+        turns: orientations to try, (k, 3, 3).
+        wall: least depth of the cavity [m].
+        slack: greatest miss of interest [m].
+    """
+    least = np.float32(wall - slack)
+    h = depth.spacing
+    # The middle of a box is at least half its least side below its surface.
+    middles = np.argwhere(depth.values >= least + np.float32(half.min()))
+    if len(middles) > CENTRES:
+        middles = middles[((middles + np.rint(depth.corner).astype(int)) % 2 == 0).all(axis=1)]
+    nothing = Places(half, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
+    if not len(middles):
+        return nothing
+    # Corners on the nearest sample first: cheap, and wrong by no more than the distance to it.
+    pad = math.ceil(float(np.linalg.norm(half)) / h) + 1
+    values = np.pad(depth.values, pad, constant_values=OUTSIDE)
+    strides = np.array([values.shape[1] * values.shape[2], values.shape[2], 1])
+    flat, base = values.ravel(), (middles + pad) @ strides
+    corners = (_SIGNS * half) @ np.swapaxes(turns, 1, 2) / h  # (k, 8, 3)
+    nearest = np.rint(corners)
+    step, error = nearest.astype(int) @ strides, h * np.linalg.norm(corners - nearest, axis=-1).astype(np.float32)
+    middle, turn = np.nonzero(flat[base[:, None] + step[:, 0]] >= least - error[:, 0])
+    for k in range(1, 8):
+        ok = flat[base[middle] + step[turn, k]] >= least - error[turn, k]
+        middle, turn = middle[ok], turn[ok]
+    if not len(middle):
+        return nothing
+    centre = np.asarray((middles + depth.corner) * h, np.float64)
+    margin = depth.sample(centre[middle][:, None] + (corners * h)[turn]).min(axis=1) - np.float32(wall)
+    found = Places(half, centre[middle], turns[turn], margin.astype(np.float64))
+    found = spread(found.only(margin >= -slack), KEPT)
+    margin = least_depth(depth, half, found.centre, found.turn, SURFACE) - wall
+    found = Places(half, found.centre, found.turn, margin).only(margin >= -slack)
+    return found.only(np.argsort(-found.margin, kind="stable"))
+
+
+def spread(found: Places, count: int) -> Places:
+    """At most `count` places, the best of every cell before the second best of any."""
+    if len(found) <= count:
+        return found
+    cell = np.floor(found.centre / CELL).astype(int) @ np.array([1 << 40, 1 << 20, 1])
+    order = np.lexsort((-found.margin, cell))
+    first = np.searchsorted(cell[order], cell[order])  # where the own cell begins
+    rank = np.zeros(len(order), int)
+    rank[order] = np.arange(len(order)) - first
+    return found.only(np.lexsort((-found.margin, rank))[:count])
+
+
+def separation(half_a: Array, centre_a: Array, turn_a: Array, half_b: Array, centre_b: Array, turn_b: Array) -> Array:
+    """Width of the widest slab between two boxes along a face of either [m]: at most their distance, below 0 if none.
+
+    All arguments broadcast: half, centre (..., 3), turn (..., 3, 3).
+    """
+    between = centre_b - centre_a
+    alike = np.abs(np.swapaxes(turn_a, -1, -2) @ turn_b)
+    along_a = np.abs((between[..., None, :] @ turn_a)[..., 0, :]) - half_a - (alike @ half_b[..., None])[..., 0]
+    along_b = np.abs((between[..., None, :] @ turn_b)[..., 0, :]) - half_b - (half_a[..., None, :] @ alike)[..., 0, :]
+    return np.maximum(along_a.max(axis=-1), along_b.max(axis=-1))
