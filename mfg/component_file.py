@@ -119,11 +119,11 @@ def read_part(path: Path | str) -> tuple[str, Part]:
         raise ComponentError(f"{path}: is {path.stat().st_size} bytes long, a part takes at most {LARGEST_FILE}")
     try:
         document = tomllib.loads(path.read_bytes().decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a ValueError also where an integer has too many digits
         raise ComponentError(f"{path}: not readable as TOML ({str(error).splitlines()[0][:120]})") from None
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ComponentError(f"{path}: kind is {kind!r}, it must be {_one_of(kind, KINDS)}")
+        raise ComponentError(f"{path}: kind is {_shown(kind, quoted=True)}, it must be {_one_of(kind, KINDS)}")
     return _Reader(path, kind).read(document)
 
 
@@ -184,7 +184,7 @@ class _Reader:
     ) -> dict[str, Any]:
         for name in body:
             if name not in names:
-                raise ComponentError(f"{self.path}: {where}{name} is no field of a {self.kind}, "
+                raise ComponentError(f"{self.path}: {where}{_shown(name)} is no field of a {self.kind}, "
                                      f"expected {_one_of(name, [*names, *also])}")  # fmt: skip
         defaults = {f.name for f in fields(made) if f.default is not MISSING}
         missing = [name for name in names if name not in body and name not in defaults]
@@ -290,8 +290,7 @@ class _Reader:
             raise self._error("mesh", mesh, str(error)) from None
 
     def _error(self, field: str, value: Any, allowed: str) -> ComponentError:
-        shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
-        return ComponentError(f"{self.path}: {field} is {shown}, {allowed}")
+        return ComponentError(f"{self.path}: {field} is {_shown(value, quoted=True)}, {allowed}")
 
 
 _HEX = set("0123456789abcdefABCDEF")
@@ -315,6 +314,15 @@ def _read_all(paths: Iterable[Path]) -> dict[tuple[str, str], Part]:
             )
         found[key], files[key] = part, path
     return found
+
+
+def _shown(value: Any, *, quoted: bool = False) -> str:
+    """A value from a file as one short line, whatever it is."""
+    try:
+        text = value if isinstance(value, str) and value.isprintable() and not quoted else repr(value)
+    except ValueError:
+        return "a number with too many digits"  # Python does not print such
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _of(parts: Iterable[Part] | None, kind: type[_T]) -> tuple[_T, ...]:
