@@ -1,9 +1,18 @@
-"""Component types: what a robot is made of, in SI units. The components we know are in `mfg.parts`."""
+"""Component types: what a robot is made of, in SI units.
+
+The paper's components are in `mfg.parts`, those to choose from in `mfg/components/*.toml` (see `mfg.component_file`).
+A field with a default came later; a manifest leaves it out where it is at its default, so that older ones still hold.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
+if TYPE_CHECKING:
+    from mfg.component_looks import Looks
+
+Range = tuple[float, float]  # least and greatest
 Size = tuple[float, float, float]  # full extents along the component's own x, y, z [m]
 
 
@@ -39,6 +48,9 @@ class Motor:
     body_screws: ScrewPattern
     output_screws: ScrewPattern
     source: str
+    voltage_range: Range | None = None  # that it runs on [V]; None: not stated
+    driver: str = "j60"  # wire format that `hardware` must speak to drive it; "none": this program does not speak it
+    looks: Looks | None = field(default=None, compare=False, repr=False)  # for pictures, in the motor's frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +71,8 @@ class Computer:
     size: Size
     devices: tuple[Device, ...]
     source: str
+    max_joints: int = 15  # motors that its bus can address
+    looks: Looks | None = field(default=None, compare=False, repr=False)  # for pictures, centred on the box
 
     @property
     def mass(self) -> float:
@@ -76,6 +90,13 @@ class Battery:
     voltage: float  # nominal [V]
     capacity: float  # [A.h]
     source: str
+    max_current: float | None = None  # that it gives for long [A]; None: not stated
+    looks: Looks | None = field(default=None, compare=False, repr=False)  # for pictures, centred on the box
+
+    @property
+    def energy(self) -> float:
+        """Nominal voltage times capacity [J]."""
+        return self.voltage * self.capacity * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +108,7 @@ class Wire:
     mass_per_metre: float  # [kg/m]
     bend_radius: float  # least [m]
     source: str
+    max_current: float | None = None  # through its power pair for long [A]; None: not stated
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ def manifest(
         "pitch": blueprint.design.pitch,
         "scores": scores_json(blueprint.scores),
         "notes": list(blueprint.notes),
-        "catalogue": asdict(blueprint.catalogue),
+        "catalogue": component_json(blueprint.catalogue),
         "bodies": [_body(blueprint, index, lay) for index, lay in enumerate(lays)],
         "joints": [_joint(blueprint, index) for index in range(len(blueprint.hinges))],
         "boxes": [
@@ -79,6 +79,12 @@ def scores_json(scores: Scores) -> dict[str, float | None]:
     return {**asdict(scores), "total": scores.total}
 
 
+def component_json(component: Any) -> dict[str, Any]:
+    """The fields of a component or a catalogue; what is at its default and what is only for pictures is left out."""
+    return {f.name: _component_value(value) for f in fields(component)
+            if f.compare and (value := getattr(component, f.name)) != f.default}  # fmt: skip
+
+
 def robot_json(description: Description) -> dict[str, Any]:
     """A description in full precision, as `read_description` reads it."""
     return {
@@ -97,7 +103,7 @@ def robot_json(description: Description) -> dict[str, Any]:
         ],
         "joints": [
             {"name": joint.name, "link": joint.link, "axis": joint.axis.tolist(), "range": joint.range.tolist(),
-             "motor": asdict(joint.motor), "can_id": joint.can_id, "sign": joint.sign}
+             "motor": component_json(joint.motor), "can_id": joint.can_id, "sign": joint.sign}
             for joint in description.joints
         ],
     }  # fmt: skip
@@ -216,9 +222,17 @@ def _part(blueprint: Blueprint, part: PrintedPart) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _motor(fields: dict[str, Any]) -> Motor:
-    patterns = {name: ScrewPattern(**fields[name]) for name in ("body_screws", "output_screws")}
-    return Motor(**{**fields, **patterns})
+def _component_value(value: Any) -> Any:
+    if is_dataclass(value):
+        return component_json(value)
+    return [_component_value(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _motor(stated: dict[str, Any]) -> Motor:
+    special: dict[str, Any] = {name: ScrewPattern(**stated[name]) for name in ("body_screws", "output_screws")}
+    if "voltage_range" in stated:
+        special["voltage_range"] = tuple(_array(stated["voltage_range"], 2).tolist())
+    return Motor(**{**stated, **special})
 
 
 def _drive(joint: dict[str, Any]) -> tuple[int, int]:

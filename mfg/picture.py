@@ -97,7 +97,9 @@ def blueprint_shapes(blueprint: Blueprint, explode: float = 0.0) -> list[Shape]:
     shift = _shifts(blueprint, explode)
     shapes = [*_printed(blueprint, shift)]
     if blueprint.seats:
-        motor = _shape(housing(mount_of(blueprint.catalogue.motor)), MOTOR)
+        looks = blueprint.catalogue.motor.looks
+        plain = _shape(housing(mount_of(blueprint.catalogue.motor)), MOTOR)
+        motor = plain if looks is None else Shape(looks.vertices, looks.triangles, MOTOR)
         for seat in blueprint.seats:
             shapes.append(_pushed(motor.moved(seat.T_design_motor), shift[seat.holder]))
     for place in blueprint.boxes:

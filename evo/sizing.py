@@ -1,0 +1,255 @@
+"""`catalogue = "auto"`: parts sized to the gait that they make, round by round until the choice repeats.
+
+A round: the pipeline scores the design with a catalogue, a gait is searched on the robot that comes out, its torques
+and speeds say what is needed, and `mfg.selection` chooses the next catalogue. Motors that do not fit the body are left
+out as the rounds meet them. The start is the lightest motor that fits, so that the climb ends at the first one that
+bears its own robot; `Margins.drivers` says whether motors that this program cannot drive count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from decoder.design import VoxelDesign
+from mfg.blueprint import Blueprint
+from mfg.catalogue import Catalogue
+from mfg.component_file import Library
+from mfg.description import describe
+from mfg.outcome import Failure
+from mfg.parts import PAPER
+from mfg.pipeline import Outcome, score
+from mfg.selection import JointNeed, Margins, Needs, Selection, Unmet, controllers_for, select, suits, unmet
+from sim.actor import Gait
+from sim.gaits import SCREENING, GaitBudget, search_gait
+from sim.model import Model, compile_model
+from sim.rollout import Diverged, roll_out
+
+ROUNDS = 6
+WORK = 10.0  # length of the rollout in which needs are measured [s]
+SHARE = 0.99  # quantile over time that counts as a peak: what is above it lasts a hundredth of the time, as impacts do
+
+Score = Callable[[VoxelDesign, Catalogue], Outcome]
+
+
+class End(StrEnum):
+    """How sizing ended."""
+
+    FIXED = "fixed"  # the choice repeated
+    CYCLE = "cycle"  # an earlier choice came back, or is all that bears its own robot
+    NO_FIT = "no_fit"  # no parts meet the need and fit the body
+    ROUNDS = "rounds"  # still changing after the last round
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One round of sizing.
+
+    Attributes:
+        catalogue: that the robot had.
+        mass: of that robot [kg].
+        speed: of its gait [m/s].
+        needs: of its gait.
+        chosen: the parts for these needs, or which of them no part meets.
+        lacking: what of the needs the robot's own parts did not meet, or None.
+    """
+
+    catalogue: Catalogue
+    mass: float
+    speed: float
+    needs: Needs
+    chosen: Selection | Unmet
+    lacking: Unmet | None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sized:
+    """What sizing came to.
+
+    Attributes:
+        catalogue: whose parts bear the robot that they make; None where there is none.
+        outcome: of the pipeline with that catalogue, or of the last try.
+        end: how it ended.
+        reason: one line for people.
+        rounds: what was needed and chosen.
+        refused: (motor, why the body does not take it), as met.
+    """
+
+    catalogue: Catalogue | None
+    outcome: Outcome
+    end: End
+    reason: str
+    rounds: tuple[Round, ...]
+    refused: tuple[tuple[str, Failure], ...]
+
+
+def sized(
+    design: VoxelDesign, rng: np.random.Generator, parts: Library, *, base: Catalogue = PAPER,
+    solve: Score = score, budget: GaitBudget = SCREENING, margins: Margins | None = None, duration: float = 900.0,
+    rounds: int = ROUNDS, progress: Callable[[int, int, str], None] | None = None,
+) -> Sized:  # fmt: skip
+    """Size the parts of a design to a fixed point, or say why there is none; the same `rng` gives the same answer.
+
+    Args:
+        design: the body.
+        rng: for the gait search, which starts alike in every round: equal parts then have equal needs.
+        parts: to choose from.
+        base: gives filaments, printer and joint encoder.
+        solve: the pipeline, `mfg.pipeline.score` or one with other solvers.
+        budget: of the gait search.
+        margins: of the choice, and which motors count.
+        duration: of the work that the battery must last [s].
+        rounds: at most.
+        progress: told (round, rounds, motor) before each gait search.
+    """
+    margins = margins or Margins()
+    seed = int(rng.integers(2**63))
+    body = _Body(design, base, parts, solve, margins)
+    started = body.first()
+    if started is None:
+        why = str(body.last.failure) if body.last is not None else "there are no parts"
+        return body.ended(None, End.NO_FIT, f"no motor fits the body, the last one failed at {why}", ())
+    outcome, done = started, list[Round]()
+    for number in range(1, rounds + 1):
+        catalogue = outcome.blueprint.catalogue
+        if progress is not None:
+            progress(number, rounds, catalogue.motor.name)
+        try:
+            this = _measured(outcome.blueprint, seed, budget, duration, parts, base, margins)
+        except Diverged as error:
+            return body.ended(None, End.NO_FIT, f"no gait to size from: {error}", done)
+        done.append(this)
+        following = body.next(this)
+        if isinstance(following, Unmet):
+            kept = _best(done)
+            return body.ended(kept, End.NO_FIT if kept is None else End.CYCLE, _no_fit(following, body, kept), done)
+        names = _names(following.blueprint.catalogue)
+        if names == _names(catalogue):
+            return body.ended(following, End.FIXED, f"{catalogue.motor.name} bears its own robot", done)
+        earlier = [r for r in done if _names(r.catalogue) == names]
+        if earlier:
+            cycle = done[done.index(earlier[0]) :]
+            kept = _best(cycle)
+            motors = " > ".join(" + ".join(_names(r.catalogue)[:2]) for r in cycle)
+            verdict = "none of them bears its own robot" if kept is None else f"kept {kept.motor.name}, which does"
+            return body.ended(kept, End.CYCLE, f"the choice goes round: {motors}; {verdict}", done)
+        outcome = following
+    kept = _best(done)
+    verdict = "none bore its own robot" if kept is None else f"kept {kept.motor.name}, which bears its own robot"
+    return body.ended(kept, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
+
+
+def needs_of(model: Model, gait: Gait, duration: float, seconds: float = WORK) -> Needs:
+    """What a gait asks of every joint: peaks are the `SHARE` quantile over control steps, rms is over all steps.
+
+    The speed at the peak is the greatest one at which at least nine tenths of the peak torque drove the joint.
+    """
+    rollout = roll_out(model, [gait], seconds)
+    torque, speed = rollout.torque[0], rollout.speed[0]
+    peak = np.quantile(np.abs(torque), SHARE, axis=0)
+    top = np.quantile(np.abs(speed), SHARE, axis=0)
+    joints = []
+    for k in range(model.nu):
+        driving = (np.abs(torque[:, k]) >= 0.9 * peak[k]) & (torque[:, k] * speed[:, k] > 0)
+        at_peak = min(float(np.abs(speed[driving, k]).max(initial=0.0)), float(top[k]))
+        joints.append(JointNeed(
+            model.actuator(k).name, float(peak[k]), at_peak, float(rollout.rms_torque[0, k]), float(top[k]),
+            float(np.sqrt(np.square(speed[:, k]).mean())),
+        ))  # fmt: skip
+    sum_of_peaks = float(np.abs(torque).max(axis=0).sum())
+    together = float(np.abs(torque).sum(axis=1).max()) / sum_of_peaks if sum_of_peaks > 0 else 1.0
+    return Needs(tuple(joints), duration, together)
+
+
+def _measured(
+    blueprint: Blueprint, seed: int, budget: GaitBudget, duration: float, parts: Library, base: Catalogue,
+    margins: Margins,
+) -> Round:  # fmt: skip
+    description = describe(blueprint)
+    model = compile_model(description)
+    found = search_gait(model, np.random.default_rng(seed), budget)
+    needs = needs_of(model, found.gait, duration)
+    chosen = select(needs, parts, base, margins)
+    return Round(blueprint.catalogue, description.mass, found.speed, needs, chosen,
+                 unmet(blueprint.catalogue, needs, margins))  # fmt: skip
+
+
+class _Body:
+    """One design and the parts that it has not refused yet."""
+
+    def __init__(self, design: VoxelDesign, base: Catalogue, parts: Library, solve: Score, margins: Margins) -> None:
+        self.design, self.base, self.parts, self.solve, self.margins = design, base, parts, solve, margins
+        self.refused: dict[str, Failure] = {}
+        self.tried: dict[tuple[str, ...], Outcome] = {}
+        self.last: Outcome | None = None
+
+    def first(self) -> Outcome | None:
+        """The design with the first motor that fits it, in the order of preference, and the lightest other parts."""
+        rank = {"only": lambda m: (m.mass, m.name), "any": lambda m: (m.mass, m.name),
+                "prefer": lambda m: (m.driver == "none", m.mass, m.name)}[self.margins.drivers]  # fmt: skip
+        motors = [m for m in self.parts.motors if m.driver != "none" or self.margins.drivers != "only"]
+        for motor in sorted(motors, key=rank):
+            batteries = [battery for battery in self.parts.batteries if suits(battery, motor)]
+            if not batteries or not self.parts.wires or not self.parts.controllers:
+                continue
+            lightest = min(batteries, key=lambda b: (b.mass, b.name))
+            wire = min(self.parts.wires, key=lambda w: (w.mass_per_metre, w.name))
+            catalogue = replace(self.base, name="auto", motor=motor, battery=lightest, wire=wire)
+            outcome = self.fitted(catalogue, len(self.design.joints))
+            if outcome.ok:
+                return outcome
+        return None
+
+    def next(self, this: Round) -> Outcome | Unmet:
+        """The design with the parts chosen for a round's needs; motors that do not fit with them are passed over."""
+        chosen, left = this.chosen, self.parts
+        while isinstance(chosen, Selection):
+            outcome = self.fitted(chosen.catalogue, len(this.needs.joints))
+            if outcome.ok:
+                return outcome
+            misfit = chosen.catalogue.motor.name
+            left = left.only(motor for motor in left.motors if motor.name != misfit)
+            chosen = select(this.needs, left, self.base, self.margins)
+        return chosen
+
+    def fitted(self, catalogue: Catalogue, joints: int) -> Outcome:
+        """Score with the lightest controller that fits; where none does, the motor is refused."""
+        outcome: Outcome | None = None
+        for computer in controllers_for(joints, self.parts.controllers) or [catalogue.computer]:
+            parts = replace(catalogue, computer=computer)
+            names = _names(parts)
+            if names not in self.tried:
+                self.tried[names] = self.solve(self.design, parts)
+            outcome = self.tried[names]
+            if outcome.ok:
+                return outcome
+        assert outcome is not None and outcome.failure is not None  # noqa: PT018 - one fact about the loop above
+        self.last = outcome
+        self.refused.setdefault(catalogue.motor.name, outcome.failure)
+        return outcome
+
+    def ended(self, kept: Catalogue | Outcome | None, end: End, reason: str, done: list[Round] | tuple[()]) -> Sized:
+        catalogue = kept.blueprint.catalogue if isinstance(kept, Outcome) else kept
+        outcome = self.last if catalogue is None else self.tried[_names(catalogue)]
+        if outcome is None:
+            outcome = next(iter(self.tried.values())) if self.tried else self.solve(self.design, self.base)
+        return Sized(catalogue, outcome, end, reason, tuple(done), tuple(self.refused.items()))
+
+
+def _names(catalogue: Catalogue) -> tuple[str, ...]:
+    return catalogue.motor.name, catalogue.battery.name, catalogue.computer.name, catalogue.wire.name
+
+
+def _best(rounds: list[Round]) -> Catalogue | None:
+    """The catalogue of the lightest robot that bears itself."""
+    able = [r for r in rounds if r.lacking is None]
+    return min(able, key=lambda r: r.mass).catalogue if able else None
+
+
+def _no_fit(lack: Unmet, body: _Body, kept: Catalogue | None) -> str:
+    refused = ", ".join(f"{name} ({failure.stage}: {failure.reason})" for name, failure in body.refused.items())
+    text = f"{lack}" + (f"; the body does not take {refused}" if refused else "")
+    return text if kept is None else f"{text}; kept {kept.motor.name}, which bears its own robot"
