@@ -30,7 +30,7 @@ Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
 Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
 Film = Annotated[float, Meta(ge=0.0, le=100.0)]
 Workers = Annotated[int, Meta(ge=0, le=1024)]
-Solver = Literal["paper"]
+Solver = Literal["paper", "search"]
 DecoderName = Annotated[
     str,
     Meta(
@@ -46,7 +46,6 @@ NO_RESULT = ("workers", "film")  # keys that change no number of a run
 
 # Words of the design that this version does not know yet.
 LATER = {
-    ("solver", "search"): "searching by the solvers",
     ("catalogue", "auto"): "the choice of components per joint",
 }
 

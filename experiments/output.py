@@ -25,7 +25,7 @@ DECODERS = ("vae", "genome")
 DEFAULT_DECODER = "vae"
 WEIGHTS_SUFFIX = ".safetensors"  # a file of weights for the learned decoder stands where its name does
 PRIORS = ("normal", "uniform")
-SOLVERS = ("paper",)
+SOLVERS = ("paper", "search")
 CATALOGUES = ("paper",)
 
 MOST_BODIES = 1_000_000  # in one sample or study: latents of that many fill 2 GB

@@ -12,14 +12,17 @@ from mfg.blueprint import Blueprint
 from mfg.bones import BoneSolver
 from mfg.catalogue import Catalogue
 from mfg.electronics import ElectronicsSolver
+from mfg.electronics_search import SearchElectronicsSolver
 from mfg.finish import FinishSolver
 from mfg.motion import MotionSolver
+from mfg.motion_search import SearchMotionSolver
 from mfg.motors import MotorSolver
 from mfg.outcome import Failure, Scores
 from mfg.parts import PAPER
 from mfg.printability import PrintabilitySolver
 from mfg.skeleton import SkeletonSolver
 from mfg.skins import SkinSolver
+from mfg.wire_search import SearchWireSolver
 from mfg.wires import WireSolver
 
 
@@ -43,8 +46,18 @@ SCORING: tuple[Solver, ...] = (
 )
 BUILDING: tuple[Solver, ...] = (*SCORING, FinishSolver())
 
-Rules = Literal["paper"]
-RULES: Mapping[Rules, tuple[Solver, ...]] = {"paper": BUILDING}  # all but the last of each give a verdict
+SEARCHING: tuple[Solver, ...] = (
+    *BODIES,
+    SearchMotionSolver(touch=0.06),  # as much as the paper's rule lets bones share: no joint turns less than by that
+    MotorSolver(),
+    SearchElectronicsSolver(),
+    SearchWireSolver(),
+    PrintabilitySolver(),
+    FinishSolver(),
+)
+
+Rules = Literal["paper", "search"]
+RULES: Mapping[Rules, tuple[Solver, ...]] = {"paper": BUILDING, "search": SEARCHING}  # the last makes exact solids
 
 
 def scoring(rules: Rules) -> tuple[Solver, ...]:
