@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import itertools
 import os
@@ -16,15 +17,16 @@ from mfg.blueprint import Blueprint, PrintedPart
 from mfg.catalogue import Catalogue, Filament
 from mfg.description import Description, describe
 from mfg.exact import box_solid, motor_solid, tunnel
-from mfg.manifest import NAME, manifest, manifest_bytes, part_file
+from mfg.manifest import NAME, ManifestError, manifest, manifest_bytes, part_file, read_manifest
 from mfg.masses import wire_stretches
 from mfg.pipeline import Outcome
 from mfg.plate import Lay, arrange
 from mfg.robot_files import Visual, mesh_files, mjcf, urdf
+from mfg.slicer import SliceReport
 from mfg.solids import Solid
 from mfg.stl import MM_PER_M, stl_bytes, welded
-from mfg.tables import bill_of_materials, wiring_table
-from mfg.threemf import PrintObject, Volume, bambu_3mf, prusa_3mf
+from mfg.tables import bill_of_materials, sliced_bill, wiring_table
+from mfg.threemf import PLATE_STRIDE, PrintObject, Volume, bambu_3mf, prusa_3mf
 
 EXTRUDERS = {"rigid": 1, "soft": 2}
 MOTOR_COLOUR, BATTERY_COLOUR, CONTROLLER_COLOUR, WIRE_COLOUR = "#3B8C5A", "#2F5FB3", "#B33A3A", "#E0B83C"
@@ -81,6 +83,29 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     return folder
 
 
+def add_slice(folder: Path | str, report: SliceReport) -> None:
+    """Write what a slicer says into the bill of materials and the manifest of a blueprint folder.
+
+    Raises:
+        ManifestError: if the manifest is damaged.
+        OSError: if a file cannot be read or written.
+    """
+    folder = Path(folder)
+    document = read_manifest(folder)
+    try:
+        filaments = document["catalogue"]["rigid"]["name"], document["catalogue"]["soft"]["name"]
+    except (KeyError, TypeError) as error:
+        raise ManifestError(f"{folder}: the filaments are missing or malformed ({error!r:.120})") from None
+    bill = sliced_bill((folder / "bom.csv").read_text("utf-8"), report, filaments).encode()
+    document["slice"] = report.to_json()
+    document["files"]["bom.csv"] = hashlib.sha256(bill).hexdigest()
+    # The manifest last: a folder interrupted in between tells that its bill has changed.
+    for name, content in (("bom.csv", bill), (NAME, manifest_bytes(document))):
+        partial = folder / f".{name}.{os.getpid()}.partial"
+        partial.write_bytes(content)
+        partial.replace(folder / name)
+
+
 def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
     """Contents of every file by its path, the manifest last."""
     if not blueprint.parts or not blueprint.masses:
@@ -99,8 +124,8 @@ def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
     files = {"design.npz": design.getvalue()}
     for part in blueprint.parts:
         files[part_file(part)] = stl_bytes(*welded(part.solid), part.name)
-    files["print.3mf"] = prusa_3mf(objects, blueprint.design.key)
-    files["print_bambu.3mf"] = bambu_3mf(objects, blueprint.design.key)
+    files["print.3mf"] = prusa_3mf(objects, blueprint.design.key, catalogue)
+    files["print_bambu.3mf"] = bambu_3mf(objects, blueprint.design.key, catalogue)
     files["print_settings.txt"] = print_settings(blueprint, lays).encode()
     files["assembly.glb"] = assembly_glb(visuals, description)
     files["robot.urdf"] = urdf(description, visuals).encode()
@@ -115,7 +140,7 @@ def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
 def print_objects(blueprint: Blueprint, lays: list[Lay]) -> list[PrintObject]:
     """One object per body: its rigid part and its soft parts together, so that the slicer interlocks them."""
     catalogue = blueprint.catalogue
-    stride = catalogue.printer.volume[0] * 1.2  # slicers show plates side by side
+    stride = catalogue.printer.volume[0] * PLATE_STRIDE
     objects = []
     for index, (body, lay) in enumerate(zip(blueprint.bodies, lays, strict=True)):
         volumes = tuple(
