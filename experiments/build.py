@@ -24,6 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("design", type=Path, metavar="DESIGN", help="a design: .npz, or MagicaVoxel .vox")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="blueprint folder to write")
     add_pipeline_options(parser)
+    parser.add_argument("--step", action="store_true", help="add step/: every rigid part as a solid for CAD programs")
     parser.add_argument("--slice", action="store_true", help="slice it with PrusaSlicer: time, filament, warnings")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
@@ -56,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
             emit(outcome.to_json(None))
         say(f"bodyplan: {args.design} cannot be built: {outcome.failure}")
         return INFEASIBLE
-    write_blueprint(outcome, folder)
+    write_blueprint(outcome, folder, args.step)
     save_png(folder / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
     sliced, trouble = _slice(folder) if args.slice else (None, "")
     if trouble:

@@ -24,6 +24,7 @@ from mfg.plate import Lay, arrange
 from mfg.robot_files import Visual, mesh_files, mjcf, urdf
 from mfg.slicer import SliceReport
 from mfg.solids import Solid
+from mfg.step import step_bytes
 from mfg.stl import MM_PER_M, stl_bytes, welded
 from mfg.tables import bill_of_materials, sliced_bill, wiring_table
 from mfg.threemf import PLATE_STRIDE, PrintObject, Volume, bambu_3mf, prusa_3mf
@@ -34,7 +35,7 @@ SKIN_ALPHA = 0.55
 VISUAL_ERROR = 5e-4  # of the meshes that are only looked at [m]
 
 
-def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
+def write_blueprint(outcome: Outcome, folder: Path | str, step: bool = False) -> Path:
     """Write the whole folder of a built blueprint; same design, same bytes.
 
     All files go into a hidden folder beside the target, which takes the target's name only when it is complete; an
@@ -43,6 +44,7 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     Args:
         outcome: what `mfg.pipeline.build` made.
         folder: target; an older blueprint there is replaced.
+        step: with a STEP file of every rigid part, about 0.8 kB a triangle.
 
     Returns:
         The folder, as an absolute path.
@@ -57,7 +59,7 @@ def write_blueprint(outcome: Outcome, folder: Path | str) -> Path:
     folder = Path(folder).resolve()
     _check_target(folder)
     _sweep(folder)
-    files = blueprint_files(outcome.blueprint)
+    files = blueprint_files(outcome.blueprint, step)
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -106,7 +108,7 @@ def add_slice(folder: Path | str, report: SliceReport) -> None:
         partial.replace(folder / name)
 
 
-def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
+def blueprint_files(blueprint: Blueprint, step: bool = False) -> dict[str, bytes]:
     """Contents of every file by its path, the manifest last."""
     if not blueprint.parts or not blueprint.masses:
         raise ValueError(f"design {blueprint.design.key} has no printed parts yet; build it before it is exported")
@@ -123,7 +125,10 @@ def blueprint_files(blueprint: Blueprint) -> dict[str, bytes]:
     blueprint.design.save(design)
     files = {"design.npz": design.getvalue()}
     for part in blueprint.parts:
-        files[part_file(part)] = stl_bytes(*welded(part.solid), part.name)
+        mesh = welded(part.solid)
+        files[part_file(part)] = stl_bytes(*mesh, part.name)
+        if step and part.material == "rigid":
+            files[f"step/{part.name}.step"] = step_bytes(*mesh, part.name)
     files["print.3mf"] = prusa_3mf(objects, blueprint.design.key, catalogue)
     files["print_bambu.3mf"] = bambu_3mf(objects, blueprint.design.key, catalogue)
     files["print_settings.txt"] = print_settings(blueprint, lays).encode()

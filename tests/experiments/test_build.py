@@ -219,3 +219,12 @@ def test_a_slicer_that_fails_leaves_the_blueprint_as_it_was(bodyplan, good, tmp_
     assert verdict["slice"] is None
     assert changed_files(tmp_path / "robot") == []
     assert "slice" not in json.loads((tmp_path / "robot" / "blueprint.json").read_text())
+
+
+def test_step_files_come_only_when_asked_for(bodyplan, good, tmp_path, small):
+    assert bodyplan("build", good, "--out", tmp_path / "robot", "--step").status == 0
+    robot = tmp_path / "robot"
+    assert {p.stem for p in (robot / "step").iterdir()} == {p.stem for p in (robot / "parts").glob("*_bone.stl")}
+    assert changed_files(robot) == []
+    assert bodyplan("build", good, "--out", robot).status == 0
+    assert not (robot / "step").exists()
