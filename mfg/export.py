@@ -24,6 +24,7 @@ from mfg.plate import Lay, arrange
 from mfg.robot_files import Visual, mesh_files, mjcf, urdf
 from mfg.slicer import SliceReport
 from mfg.solids import Solid
+from mfg.splitting import pieces
 from mfg.step import step_bytes
 from mfg.stl import MM_PER_M, stl_bytes, welded
 from mfg.tables import bill_of_materials, sliced_bill, wiring_table
@@ -114,11 +115,7 @@ def blueprint_files(blueprint: Blueprint, step: bool = False) -> dict[str, bytes
         raise ValueError(f"design {blueprint.design.key} has no printed parts yet; build it before it is exported")
     catalogue = blueprint.catalogue
     description = describe(blueprint)
-    points = [
-        np.concatenate([part.solid.vertices for part in blueprint.parts if part.body == index])
-        for index in range(len(blueprint.bodies))
-    ]
-    lays = arrange(points, catalogue.printer.volume)
+    lays = arrange([piece.points for piece in pieces(blueprint)], catalogue.printer.volume)
     objects = print_objects(blueprint, lays)
     visuals = robot_visuals(blueprint, description)
     design = io.BytesIO()
@@ -143,20 +140,19 @@ def blueprint_files(blueprint: Blueprint, step: bool = False) -> dict[str, bytes
 
 
 def print_objects(blueprint: Blueprint, lays: list[Lay]) -> list[PrintObject]:
-    """One object per body: its rigid part and its soft parts together, so that the slicer interlocks them."""
+    """One object per body or piece of one: its rigid and soft parts together, so that the slicer interlocks them."""
     catalogue = blueprint.catalogue
     stride = catalogue.printer.volume[0] * PLATE_STRIDE
     objects = []
-    for index, (body, lay) in enumerate(zip(blueprint.bodies, lays, strict=True)):
+    for piece, lay in zip(pieces(blueprint), lays, strict=True):
         volumes = tuple(
             Volume(part.name, *welded(part.solid), EXTRUDERS[part.material], _filament(catalogue, part))
-            for part in blueprint.parts
-            if part.body == index
+            for part in piece.parts
         )
         pose = lay.T_plate_design.copy()
         pose[0, 3] += lay.plate * stride
         pose[:3, 3] *= MM_PER_M
-        objects.append(PrintObject(body.name, volumes, pose, lay.plate))
+        objects.append(PrintObject(piece.name, volumes, pose, lay.plate))
     return objects
 
 
@@ -224,9 +220,9 @@ def print_settings(blueprint: Blueprint, lays: list[Lay]) -> str:
         "Supports: on the build plate and inside motor cups, rigid filament.",
         "",
     ]
-    for body, lay in zip(blueprint.bodies, lays, strict=True):
+    for piece, lay in zip(pieces(blueprint), lays, strict=True):
         size = " x ".join(f"{1e3 * s:.0f}" for s in lay.size)
-        lines.append(f"{body.name}: plate {lay.plate + 1}, {size} mm as laid")
+        lines.append(f"{piece.name}: plate {lay.plate + 1}, {size} mm as laid")
     return "\n".join(lines) + "\n"
 
 

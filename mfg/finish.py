@@ -36,6 +36,7 @@ from mfg.scores import (
     size_penalty,
 )
 from mfg.solids import Solid, ball_chain, from_field, surface, union
+from mfg.splitting import SplitSolver, pieces
 from mfg.stl import MM_PER_M, torn_edges, welded
 
 PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
@@ -60,6 +61,7 @@ class FinishSolver:
         max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
         min_overlap: tau of Eq. 2, applied to the exact volumes [m3].
         alpha: of Eq. 3, as in the motor solver.
+        split: cut bodies that are beyond the printer's volume into pieces that fit, with pegs; else they are failures.
     """
 
     gap: float = 1.5e-3
@@ -71,6 +73,7 @@ class FinishSolver:
     max_touch: float = 1.0e-9
     min_overlap: float = MIN_OVERLAP
     alpha: float = MotorSolver.alpha
+    split: bool = False
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
@@ -89,6 +92,11 @@ class FinishSolver:
         separate = self._apart(parts)
         if isinstance(separate, Failure):
             return separate
+        if self.split:
+            divided = SplitSolver(min_piece=self.min_piece).solve(replace(blueprint, parts=tuple(separate)))
+            if isinstance(divided, Failure):
+                return divided
+            blueprint, separate = divided, list(divided.parts)
         whole = [self._whole(part) for part in separate]
         for part in whole:
             if isinstance(part, Failure):
@@ -215,12 +223,11 @@ class FinishSolver:
 
     def _too_large(self, blueprint: Blueprint) -> Failure | None:
         printer = blueprint.catalogue.printer
-        for index, body in enumerate(blueprint.bodies):
-            points = np.concatenate([part.solid.vertices for part in blueprint.parts if part.body == index])
-            if not fits_printer(points, printer.volume):
-                extents = " x ".join(f"{1e3 * e:.0f}" for e in np.ptp(points, axis=0))
+        for piece in pieces(blueprint):
+            if not fits_printer(piece.points, printer.volume):
+                extents = " x ".join(f"{1e3 * e:.0f}" for e in np.ptp(piece.points, axis=0))
                 return Failure(
-                    Stage.PRINT, Reason.TOO_LARGE, f"{body.name} measures {extents} mm; no way up fits {printer.name}"
+                    Stage.PRINT, Reason.TOO_LARGE, f"{piece.name} measures {extents} mm; no way up fits {printer.name}"
                 )
         return None
 

@@ -195,4 +195,8 @@ def test_prusaslicer_lays_down_what_the_mass_model_says(sliced: SliceReport) -> 
 
 @real
 def test_the_estimates_of_prusaslicer_repeat(folder: Path, sliced: SliceReport) -> None:
-    assert slice_blueprint(folder) == sliced
+    again = slice_blueprint(folder)
+    for one, two in zip(sliced.plates, again.plates, strict=True):
+        # Its threads may lay supports a little differently.
+        assert two.grams == pytest.approx(one.grams, rel=0.01)
+        assert two.seconds == pytest.approx(one.seconds, rel=0.01)
