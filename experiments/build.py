@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.output import CATALOGUES, DONE, INFEASIBLE, SOLVERS, BadInput, emit, make_folder, say
+from experiments.output import BAD_INPUT, CATALOGUES, DONE, INFEASIBLE, SOLVERS, BadInput, emit, make_folder, say
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
     from mfg.catalogue import Catalogue
+    from mfg.slicer import SliceReport
 
 HELP = "a design (.npz or .vox) becomes a blueprint folder: parts, print file, models, wiring, assembly guide"
 
@@ -24,6 +25,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="blueprint folder to write")
     add_pipeline_options(parser)
     parser.add_argument("--no-guide", action="store_true", help="leave out guide.html, which takes seconds")
+    parser.add_argument("--step", action="store_true", help="add step/: every rigid part as a solid for CAD programs")
+    parser.add_argument("--slice", action="store_true", help="slice it with PrusaSlicer: time, filament, warnings")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
@@ -39,7 +42,10 @@ def main(args: argparse.Namespace) -> int:
     from mfg.picture import picture_of_blueprint
     from mfg.pipeline import build
     from mfg.render import save_png
+    from mfg.slicer import clock
 
+    if args.slice:
+        _need_slicer()
     design = read_design(args.design)
     # Made before the work, so that a folder that cannot be written to is found at once.
     existed = args.out.is_dir()
@@ -52,21 +58,52 @@ def main(args: argparse.Namespace) -> int:
             emit(outcome.to_json(None))
         say(f"bodyplan: {args.design} cannot be built: {outcome.failure}")
         return INFEASIBLE
-    write_blueprint(outcome, folder, guide=not args.no_guide)
+    write_blueprint(outcome, folder, guide=not args.no_guide, step=args.step)
     save_png(folder / "blueprint.png", picture_of_blueprint(outcome.blueprint, PICTURE))
+    sliced, trouble = _slice(folder) if args.slice else (None, "")
+    if trouble:
+        say(f"bodyplan: error: the blueprint in {folder} is complete, but it was not sliced: {trouble}")
+    status = BAD_INPUT if trouble else DONE
     if args.json:
-        emit(outcome.to_json(str(folder)))
-        return DONE
+        emit(outcome.to_json(str(folder)) | ({"slice": sliced and sliced.to_json()} if args.slice else {}))
+        return status
     blueprint, scores = outcome.blueprint, outcome.scores
     mass = sum(m.mass for m in blueprint.masses)
     print(f"{args.design} can be built: {len(blueprint.hinges)} joints, {len(blueprint.parts)} printed parts, "
           f"{mass:.2f} kg, S_mfg = {scores.total:.2f} of 5")  # fmt: skip
     for note in blueprint.notes:
         print(f"  note: {note}")
+    if sliced is not None:
+        (rigid, soft), catalogue = sliced.grams, blueprint.catalogue
+        print(f"{sliced.program}: {len(sliced.plates)} plates, {clock(sliced.seconds)}, {rigid:.0f} g of "
+              f"{catalogue.rigid.name}, {soft:.0f} g of {catalogue.soft.name}")  # fmt: skip
+        for warning in sliced.warnings:
+            print(f"  slicer's warning: {warning}")
     print(f"blueprint in {folder}: look at {folder / 'blueprint.png'}, print {folder / 'print.3mf'}")
     if not args.no_guide:
         print(f"how to build it, step by step: {folder / 'guide.html'}")
-    return DONE
+    return status
+
+
+def _need_slicer() -> None:
+    """Find out before the work that there is nothing to slice with."""
+    from mfg.slicer import HOW_TO_GET, find_slicer
+
+    if find_slicer() is None:
+        raise BadInput(f"--slice needs PrusaSlicer, which is not here; get it with: {HOW_TO_GET}")
+
+
+def _slice(folder: Path) -> tuple[SliceReport | None, str]:
+    """Slice a blueprint and write down what came of it; a reason instead if nothing came."""
+    from mfg.export import add_slice
+    from mfg.slicer import SliceError, slice_blueprint
+
+    try:
+        report = slice_blueprint(folder)
+    except SliceError as error:
+        return None, str(error)
+    add_slice(folder, report)
+    return report, ""
 
 
 def read_design(path: Path) -> VoxelDesign:

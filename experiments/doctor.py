@@ -23,7 +23,7 @@ REQUIRED = (
     ("safetensors", "safetensors.numpy"), ("tensorboardX", "tensorboardX"),
     ("gymnasium", "gymnasium"), ("stable-baselines3", "stable_baselines3"),
 )  # fmt: skip
-SLICERS = ("prusa-slicer", "PrusaSlicer", "prusaslicer", "orca-slicer", "OrcaSlicer", "bambu-studio", "cura")
+OTHER_SLICERS = ("orca-slicer", "OrcaSlicer", "bambu-studio")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 CAN_LINK_TYPE = "280"  # ARPHRD_CAN of the Linux kernel
 GIB = 2**30
@@ -140,8 +140,17 @@ def _which(names: tuple[str, ...]) -> str | None:
 
 
 def _slicer() -> Finding:
-    path = _which(SLICERS)
-    return Finding("slicer", bool(path), path or "none; print.3mf opens in PrusaSlicer: apt install prusa-slicer")
+    from mfg.slicer import HOW_TO_GET, SliceError, find_slicer, slicer_version
+
+    path = find_slicer()
+    if path is None:
+        other = _which(OTHER_SLICERS)
+        here = f"{other} opens print_bambu.3mf; " if other else ""
+        return Finding("slicer", bool(other), f"{here}no PrusaSlicer; build --slice needs it: {HOW_TO_GET}")
+    try:
+        return Finding("slicer", True, f"{slicer_version(path)} at {path}: build --slice")
+    except SliceError as error:
+        return Finding("slicer", False, f"{error}; install it anew: {HOW_TO_GET}")
 
 
 def _browser() -> Finding:

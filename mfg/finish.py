@@ -37,6 +37,7 @@ from mfg.scores import (
     size_penalty,
 )
 from mfg.solids import Solid, ball_chain, from_field, surface, union
+from mfg.splitting import SplitSolver, pieces
 from mfg.stl import MM_PER_M, torn_edges, welded
 
 PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
@@ -62,6 +63,7 @@ class FinishSolver:
         min_overlap: tau of Eq. 2, applied to the exact volumes [m3].
         alpha: of Eq. 3, as in the motor solver.
         lids: whether the openings of the electronics boxes get lids with screws, as parts of their own.
+        split: cut bodies that are beyond the printer's volume into pieces that fit, with pegs; else they are failures.
     """
 
     gap: float = 1.5e-3
@@ -74,6 +76,7 @@ class FinishSolver:
     min_overlap: float = MIN_OVERLAP
     alpha: float = MotorSolver.alpha
     lids: bool = False
+    split: bool = False
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
@@ -97,6 +100,11 @@ class FinishSolver:
         separate = self._apart(parts)
         if isinstance(separate, Failure):
             return separate
+        if self.split:
+            divided = SplitSolver(min_piece=self.min_piece).solve(replace(blueprint, parts=tuple(separate)))
+            if isinstance(divided, Failure):
+                return divided
+            blueprint, separate = divided, list(divided.parts)
         whole = [self._whole(part) for part in separate]
         for part in whole:
             if isinstance(part, Failure):
@@ -181,8 +189,8 @@ class FinishSolver:
         # A film thinner than the tolerance would be thinned to nothing, which is no solid.
         if not (soft.values > 0).any() or volume_moments(*surface(soft)).mass < self.min_piece:
             return parts, notes
-        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice.
-        skin = (from_field(soft, self.tolerance) - bone - (room + mounts)).minus(tunnels)
+        # By the finished bone, not by what it was made of: the kernel tidies seams, and a film of both would remain.
+        skin = (from_field(soft, self.tolerance) - room).minus(tunnels) - pieces[0]
         kept = [piece for piece in skin.components() if piece.volume >= self.min_piece]
         parts += [PrintedPart(f"{body.name}_skin_{k}", index, "soft", piece) for k, piece in enumerate(kept, start=1)]
         return parts, notes
@@ -234,12 +242,11 @@ class FinishSolver:
 
     def _too_large(self, blueprint: Blueprint) -> Failure | None:
         printer = blueprint.catalogue.printer
-        for index, body in enumerate(blueprint.bodies):
-            points = np.concatenate([part.solid.vertices for part in blueprint.parts if part.body == index])
-            if not fits_printer(points, printer.volume):
-                extents = " x ".join(f"{1e3 * e:.0f}" for e in np.ptp(points, axis=0))
+        for piece in pieces(blueprint):
+            if not fits_printer(piece.points, printer.volume):
+                extents = " x ".join(f"{1e3 * e:.0f}" for e in np.ptp(piece.points, axis=0))
                 return Failure(
-                    Stage.PRINT, Reason.TOO_LARGE, f"{body.name} measures {extents} mm; no way up fits {printer.name}"
+                    Stage.PRINT, Reason.TOO_LARGE, f"{piece.name} measures {extents} mm; no way up fits {printer.name}"
                 )
         return None
 

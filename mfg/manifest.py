@@ -19,6 +19,7 @@ from mfg.description import PAPER_SKIN, DescribedJoint, Description, Link, SkinM
 from mfg.masses import printed_moments
 from mfg.outcome import Scores
 from mfg.plate import Lay
+from mfg.splitting import Piece, pieces
 from mfg.stl import welded
 
 FORMAT = "bodyplan-blueprint"
@@ -38,9 +39,12 @@ def manifest(
     Args:
         blueprint: with parts and masses.
         description: of the same blueprint.
-        lays: how each body lies on the printer.
+        lays: how each body, or each piece of a body that was cut, lies on the printer.
         files: contents by path within the folder, for their hashes.
     """
+    laid = list(zip(pieces(blueprint), lays, strict=True))
+    divided = {} if len(laid) == len(blueprint.bodies) else {"pieces": [_piece(blueprint, *pair) for pair in laid]}
+    of_body = {piece.body: lay for piece, lay in reversed(laid)}
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -51,7 +55,9 @@ def manifest(
         "scores": scores_json(blueprint.scores),
         "notes": list(blueprint.notes),
         "catalogue": component_json(blueprint.catalogue),
-        "bodies": [_body(blueprint, index, lay) for index, lay in enumerate(lays)],
+        # A body that was cut has the place of its first piece here; `pieces` has them all.
+        "bodies": [_body(blueprint, index, of_body[index]) for index in range(len(blueprint.bodies))],
+        **divided,
         "joints": [_joint(blueprint, index) for index in range(len(blueprint.hinges))],
         "boxes": [
             {"kind": box.kind, "body": blueprint.bodies[box.body].name, "size": list(box.size),
@@ -192,6 +198,13 @@ def _body(blueprint: Blueprint, index: int, lay: Lay) -> dict[str, Any]:
         "name": body.name, "segment": body.segment, "parent": None if index == 0 else
         blueprint.bodies[blueprint.hinges[index - 1].parent].name,
         "mass": mass.mass, "com": mass.com.tolist(), "inertia": mass.inertia.tolist(),
+        "plate": lay.plate, "T_plate_design": lay.T_plate_design.tolist(), "print_size": lay.size.tolist(),
+    }  # fmt: skip
+
+
+def _piece(blueprint: Blueprint, piece: Piece, lay: Lay) -> dict[str, Any]:
+    return {
+        "name": piece.name, "body": blueprint.bodies[piece.body].name, "parts": [part.name for part in piece.parts],
         "plate": lay.plate, "T_plate_design": lay.T_plate_design.tolist(), "print_size": lay.size.tolist(),
     }  # fmt: skip
 

@@ -9,6 +9,9 @@ from collections.abc import Iterable, Sequence
 from mfg.addresses import can_address, turn_sign
 from mfg.blueprint import Blueprint
 from mfg.masses import printed_moments
+from mfg.slicer import SliceReport, clock
+
+SLICED = "filament, sliced"  # kind of the rows that a slicer wrote
 
 
 def bill_of_materials(blueprint: Blueprint) -> str:
@@ -36,6 +39,16 @@ def bill_of_materials(blueprint: Blueprint) -> str:
         note = f"{material} parts, without supports"
         rows.append(("filament", filament.name, f"{1e3 * mass:.0f}", "g", _grams(mass), note))
     return _csv(("kind", "item", "quantity", "unit", "mass_g", "note"), rows)
+
+
+def sliced_bill(bill: str, report: SliceReport, filaments: tuple[str, str]) -> str:
+    """The same bill with what a slicer lays down of each filament (rigid, soft) at its end; older such rows go."""
+    header, *rows = csv.reader(io.StringIO(bill))
+    rows = [row for row in rows if row[0] != SLICED]
+    for material, name, grams in zip(("rigid", "soft"), filaments, report.grams, strict=True):
+        note = f"{material} filament with supports as {report.program} slices it; {clock(report.seconds)} in all"
+        rows.append([SLICED, name, f"{grams:.0f}", "g", "", note])
+    return _csv(header, rows)
 
 
 def wiring_table(blueprint: Blueprint) -> str:

@@ -1,8 +1,8 @@
 """3MF files that a slicer can print from: rigid and soft parts as one object, each with its filament and infill.
 
 Slicers disagree on how a part says what it is made of, so there are two flavours of the same plates. PrusaSlicer wants
-one mesh per object and a table of triangle ranges; Bambu Studio and OrcaSlicer want one mesh per part, joined by
-components.
+one mesh per object, a table of triangle ranges, and the printer's own settings, without which it knows one nozzle only;
+Bambu Studio and OrcaSlicer want one mesh per part, joined by components. Both name the interlocking per object.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.blueprint import Transform
-from mfg.catalogue import Filament
+from mfg.catalogue import Catalogue, Filament
+from mfg.print_config import config_text, interlocking, prusa_config
 
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _PRUSA = "http://schemas.slic3r.org/3mf/2017/06"
@@ -34,6 +35,8 @@ _RELATIONS = """<?xml version="1.0" encoding="UTF-8"?>
 </Relationships>
 """
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive, so that equal content gives equal bytes
+PLATE_STRIDE = 1.2  # slicers show plates side by side [plate widths]
+PRUSA_CONFIG = "Metadata/Slic3r_PE.config"
 _UNMOVED = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 
 
@@ -73,13 +76,14 @@ class PrintObject:
     plate: int
 
 
-def prusa_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
-    """The PrusaSlicer flavour (2.4 or later; checked with 2.5)."""
+def prusa_3mf(objects: Sequence[PrintObject], title: str, catalogue: Catalogue) -> bytes:
+    """The PrusaSlicer flavour (2.4 or later; checked with 2.5, which passes over the interlocking that 2.9 knows)."""
     model, settings, items = [], [], []
     for number, thing in enumerate(objects, start=1):
         vertices, triangles, first, base = [], [], 0, 0
         settings.append(f' <object id="{number}" instances_count="1">')
         settings.append(_setting("object", "name", thing.name))
+        settings.extend(_setting("object", key, value) for key, value in _joined(thing, catalogue).items())
         for volume in thing.volumes:
             vertices.append(volume.vertices)
             triangles.append(volume.triangles + base)
@@ -104,10 +108,11 @@ def prusa_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
         ' <metadata name="slic3rpe:Version3mf">1</metadata>',
         *_metadata(title, "bodyplan"),
     ]
-    return _archive(header, model, items, {"Metadata/Slic3r_PE_model.config": _config(settings)})
+    presets = config_text(prusa_config(catalogue.printer, catalogue.rigid, catalogue.soft))
+    return _archive(header, model, items, {"Metadata/Slic3r_PE_model.config": _config(settings), PRUSA_CONFIG: presets})
 
 
-def bambu_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
+def bambu_3mf(objects: Sequence[PrintObject], title: str, catalogue: Catalogue) -> bytes:
     """The Bambu Studio and OrcaSlicer flavour: geometry and part settings, but no presets: sparse ones crash them."""
     model, settings, items, number = [], [], [], 0
     for thing in objects:
@@ -129,6 +134,7 @@ def bambu_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
         ]
         items.append(_item(number, thing.pose))
         settings += [f' <object id="{number}">', _plain("name", thing.name), _plain("extruder", "1")]
+        settings += [_plain(key, value) for key, value in _joined(thing, catalogue).items()]
         for i, volume in zip(ids, thing.volumes, strict=True):
             settings.append(f'  <part id="{i}" subtype="normal_part">')
             for key, value in (
@@ -154,6 +160,12 @@ def bambu_3mf(objects: Sequence[PrintObject], title: str) -> bytes:
         *_metadata(title, "BambuStudio-01.10.00.00"),  # anything else and the part settings are not read
     ]
     return _archive(header, model, items, {"Metadata/model_settings.config": _config(settings)})
+
+
+def _joined(thing: PrintObject, catalogue: Catalogue) -> dict[str, str]:
+    """Settings of an object whose parts are of different filament; none where it is all of one."""
+    mixed = len({volume.extruder for volume in thing.volumes}) > 1
+    return interlocking(catalogue.printer) if mixed else {}
 
 
 def _mesh(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Iterator[str]:

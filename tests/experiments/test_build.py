@@ -13,6 +13,7 @@ from decoder.latent import make_decoder, sample_latents
 from decoder.sketch import load_design
 from experiments import build as command
 from mfg.description import describe
+from mfg.manifest import changed_files
 from mfg.pipeline import build, score
 from sim.actor import Gait
 from sim.model import compile_model
@@ -38,6 +39,25 @@ def hopeless(hinge, tmp_path):
     path = tmp_path / "hopeless.npz"
     VoxelDesign(hinge.material, hinge.segment, hinge.pitch, ()).save(path)
     return path
+
+
+SLICER = """#!/bin/sh
+if [ "$1" = --help ]; then echo "PrusaSlicer-2.5.0+fake based on Slic3r"; exit 0; fi
+while [ $# -gt 1 ]; do [ "$1" = --output ] && out=$2; shift; done
+printf '; filament used [g] = 10.5, 2.25\\n; estimated printing time (normal mode) = 1h 2m 3s\\n' > "$out"
+echo "print warning: Detected print stability issues"
+"""
+
+
+@pytest.fixture
+def slicer(tmp_path, monkeypatch):
+    """A program in the place of PrusaSlicer, and nothing else on the search path but what a shell needs."""
+    place = tmp_path / "bin" / "prusa-slicer"
+    place.parent.mkdir()
+    place.write_text(SLICER)
+    place.chmod(0o755)
+    monkeypatch.setenv("PATH", str(place.parent))
+    return place
 
 
 @pytest.fixture
@@ -152,3 +172,59 @@ def test_score_gives_people_one_line_per_design_and_a_count(bodyplan, good, hope
     assert "can be built, " in lines[0]
     assert "cannot be built: skeleton: " in lines[1]
     assert lines[2] == "1 of 2 can be built"
+
+
+def content(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_slicing_adds_to_the_bill_and_the_manifest_and_touches_nothing_else(bodyplan, good, tmp_path, small, slicer):
+    plain, robot = tmp_path / "plain", tmp_path / "robot"
+    assert bodyplan("build", good, "--out", plain, "--json").status == 0
+    said = bodyplan("build", good, "--out", robot, "--slice", "--json")
+    assert said.status == 0, said.err
+    verdict, before = json.loads(said.out), json.loads((plain / "blueprint.json").read_text())
+    check(verdict, good)
+    manifest = json.loads((robot / "blueprint.json").read_text())
+    assert manifest.pop("slice") == verdict["slice"]
+    plates = {body["plate"] for body in manifest["bodies"]}
+    assert verdict["slice"]["seconds"] == 3723 * len(plates)
+    assert verdict["slice"]["filament_g"] == {"rigid": 10.5 * len(plates), "soft": 2.25 * len(plates)}
+    assert verdict["slice"]["warnings"] == ["Detected print stability issues"]
+    assert changed_files(robot) == []
+    assert manifest["files"].pop("bom.csv") != before["files"].pop("bom.csv")
+    assert manifest == before
+    sliced, unsliced = content(robot), content(plain)
+    assert {name for name in sliced if sliced[name] != unsliced.get(name)} == {"bom.csv", "blueprint.json"}
+    assert set(sliced) == set(unsliced)
+
+
+def test_without_a_slicer_nothing_is_begun(bodyplan, good, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    said = bodyplan("build", good, "--out", tmp_path / "robot", "--slice")
+    assert said.status == 2
+    assert said.err.count("\n") == 1
+    assert "apt install" in said.err
+    assert not (tmp_path / "robot").exists()
+
+
+def test_a_slicer_that_fails_leaves_the_blueprint_as_it_was(bodyplan, good, tmp_path, small, slicer):
+    slicer.write_text(SLICER.replace('echo "print warning', 'echo "no flat bottom" >&2; exit 1; echo "'))
+    said = bodyplan("build", good, "--out", tmp_path / "robot", "--slice", "--json")
+    assert said.status == 2
+    assert said.err.count("\n") == 1
+    assert "no flat bottom" in said.err
+    verdict = json.loads(said.out)
+    check(verdict, good)
+    assert verdict["slice"] is None
+    assert changed_files(tmp_path / "robot") == []
+    assert "slice" not in json.loads((tmp_path / "robot" / "blueprint.json").read_text())
+
+
+def test_step_files_come_only_when_asked_for(bodyplan, good, tmp_path, small):
+    assert bodyplan("build", good, "--out", tmp_path / "robot", "--step").status == 0
+    robot = tmp_path / "robot"
+    assert {p.stem for p in (robot / "step").iterdir()} == {p.stem for p in (robot / "parts").glob("*_bone.stl")}
+    assert changed_files(robot) == []
+    assert bodyplan("build", good, "--out", robot).status == 0
+    assert not (robot / "step").exists()

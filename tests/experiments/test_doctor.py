@@ -42,6 +42,32 @@ def test_the_table_has_a_line_for_each_finding(bodyplan, light):
     assert "Everything bodyplan needs is here." in said.out
 
 
+def stub(folder, name, text):
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text(f"#!/bin/sh\n{text}\n")
+    (folder / name).chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    ("programs", "ok", "said"),
+    [
+        ({}, False, "no PrusaSlicer; build --slice needs it: apt install"),
+        ({"orca-slicer": ""}, True, "opens print_bambu.3mf; no PrusaSlicer"),
+        ({"prusa-slicer": "echo PrusaSlicer-9.8.7+x based on Slic3r"}, True, "PrusaSlicer 9.8.7 at "),
+        ({"prusa-slicer": "exit 1"}, False, "is not PrusaSlicer"),
+    ],
+)
+def test_doctor_says_which_slicer_there_is_and_how_to_get_the_one_that_slices(
+    programs, ok, said, tmp_path, monkeypatch
+):
+    for name, text in programs.items():
+        stub(tmp_path / "bin", name, text)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}")
+    finding = doctor._slicer()
+    assert finding.ok is ok
+    assert said in finding.text
+
+
 def test_a_missing_dependency_is_named_with_its_remedy(bodyplan, monkeypatch):
     monkeypatch.setattr(doctor, "REQUIRED", (("numpy", "numpy"), ("surely-not-there", "surely_not_there")))
     said = bodyplan("doctor", "--json")

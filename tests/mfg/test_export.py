@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +33,7 @@ def folder(built: Outcome, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def quick(files: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     """Writing is under test, not what is written."""
-    monkeypatch.setattr("mfg.export.blueprint_files", lambda _: files)
+    monkeypatch.setattr("mfg.export.blueprint_files", lambda *_, **__: files)
 
 
 def test_the_folder_holds_what_the_contract_names(folder: Path, built: Outcome) -> None:
@@ -48,6 +50,17 @@ def test_exporting_twice_gives_the_same_bytes(files: dict[str, bytes], built: Ou
     again = blueprint_files(built.blueprint)
     assert list(again) == list(files)
     assert [name for name in files if files[name] != again[name]] == []
+
+
+def test_step_files_of_the_rigid_parts_are_extra_and_change_nothing_else(
+    files: dict[str, bytes], built: Outcome
+) -> None:
+    more = blueprint_files(built.blueprint, step=True)
+    added = sorted(set(more) - set(files))
+    assert added == sorted(f"step/{p.name}.step" for p in built.blueprint.parts if p.material == "rigid")
+    assert {name for name in files if files[name] != more[name]} == {NAME}
+    stored = json.loads(more[NAME])["files"]
+    assert all(stored[name] == hashlib.sha256(more[name]).hexdigest() for name in added)
 
 
 def test_every_file_of_a_build_passes_the_foreign_check(built: Outcome, tmp_path: Path) -> None:

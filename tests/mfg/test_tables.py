@@ -9,7 +9,8 @@ import pytest
 from mfg.addresses import MAX_BUS, can_address, turn_sign
 from mfg.masses import body_masses
 from mfg.pipeline import Outcome
-from mfg.tables import bill_of_materials, wiring_table
+from mfg.slicer import PlateSlice, SliceReport
+from mfg.tables import SLICED, bill_of_materials, sliced_bill, wiring_table
 
 
 def rows(text: str) -> list[dict[str, str]]:
@@ -59,3 +60,16 @@ def test_the_sign_turns_with_the_side_that_holds_the_motor(built: Outcome) -> No
         hinge = blueprint.hinges[seat.hinge]
         assert turn_sign(blueprint, replace(seat, holder=hinge.parent, connector=hinge.body)) == 1
         assert turn_sign(blueprint, replace(seat, holder=hinge.body, connector=hinge.parent)) == -1
+
+
+def test_a_slicer_adds_its_grams_once_and_changes_nothing_else() -> None:
+    bill = 'kind,item,quantity,unit,mass_g,note\nmotor,M,2,pcs,960.0,"a, b"\nfilament,PLA,500,g,500.0,rigid\n'
+    first = SliceReport("PrusaSlicer 1", (PlateSlice(0, ("a",), 3600.0, (10.0, 5.0), ()),
+                                          PlateSlice(1, ("b",), 5430.0, (20.4, 0.0), ())))  # fmt: skip
+    once = sliced_bill(bill, first, ("PLA", "TPU"))
+    assert once.startswith(bill)
+    added = [row for row in rows(once) if row["kind"] == SLICED]
+    assert [(row["item"], row["quantity"], row["mass_g"]) for row in added] == [("PLA", "30", ""), ("TPU", "5", "")]
+    assert "2 h 30 min" in added[0]["note"]
+    second = SliceReport("PrusaSlicer 2", (PlateSlice(0, ("a",), 60.0, (1.0, 2.0), ()),))
+    assert sliced_bill(once, second, ("PLA", "TPU")) == sliced_bill(bill, second, ("PLA", "TPU"))

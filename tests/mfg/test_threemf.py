@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from mfg.parts import PLA, TPU_90A
+from mfg.catalogue import Catalogue
+from mfg.parts import H2D, PAPER, PLA, TPU_90A
+from mfg.print_config import interlocking, prusa_config
 from mfg.solids import box
 from mfg.stl import welded
-from mfg.threemf import PrintObject, Volume, bambu_3mf, prusa_3mf
+from mfg.threemf import PRUSA_CONFIG, PrintObject, Volume, bambu_3mf, prusa_3mf
 
-Writer = Callable[[list[PrintObject], str], bytes]
+Writer = Callable[[list[PrintObject], str, Catalogue], bytes]
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 
 
@@ -33,11 +36,11 @@ def objects() -> list[PrintObject]:
 def unpacked(data: bytes) -> dict[str, ElementTree.Element]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         assert archive.testzip() is None
-        return {name: ElementTree.fromstring(archive.read(name)) for name in archive.namelist()}
+        return {name: ElementTree.fromstring(archive.read(name)) for name in archive.namelist() if name != PRUSA_CONFIG}
 
 
 def test_prusa_ranges_name_every_triangle_once(objects: list[PrintObject]) -> None:
-    files = unpacked(prusa_3mf(objects, "t"))
+    files = unpacked(prusa_3mf(objects, "t", PAPER))
     config = files["Metadata/Slic3r_PE_model.config"]
     for thing, element in zip(objects, files["3D/3dmodel.model"].iter(f"{CORE}object"), strict=True):
         ranges = []
@@ -57,7 +60,7 @@ def test_prusa_ranges_name_every_triangle_once(objects: list[PrintObject]) -> No
 
 
 def test_bambu_parts_name_their_extruder_and_infill(objects: list[PrintObject]) -> None:
-    files = unpacked(bambu_3mf(objects, "t"))
+    files = unpacked(bambu_3mf(objects, "t", PAPER))
     model, config = files["3D/3dmodel.model"], files["Metadata/model_settings.config"]
     assert "Metadata/project_settings.config" not in files
     meshes = {o.get("id"): o for o in model.iter(f"{CORE}object")}
@@ -78,10 +81,47 @@ def test_bambu_parts_name_their_extruder_and_infill(objects: list[PrintObject]) 
 
 @pytest.mark.parametrize("write", [prusa_3mf, bambu_3mf])
 def test_a_foreign_reader_finds_the_bodies_where_they_were_laid(write: Writer, objects: list[PrintObject]) -> None:
-    scene = trimesh.load(io.BytesIO(write(objects, "t")), file_type="3mf")
+    scene = trimesh.load(io.BytesIO(write(objects, "t", PAPER)), file_type="3mf")
     assert_allclose(scene.bounds, [[10, 10, 7], [100, 90, 47]])
 
 
 @pytest.mark.parametrize("write", [prusa_3mf, bambu_3mf])
 def test_the_same_objects_give_the_same_bytes(write: Writer, objects: list[PrintObject]) -> None:
-    assert write(objects, "t") == write(objects, "t")
+    assert write(objects, "t", PAPER) == write(objects, "t", PAPER)
+
+
+@pytest.mark.parametrize(
+    ("write", "config"),
+    [(prusa_3mf, "Metadata/Slic3r_PE_model.config"), (bambu_3mf, "Metadata/model_settings.config")],
+)
+def test_two_materials_interlock_by_the_depth_of_the_catalogue_and_one_alone_does_not(
+    write: Writer, config: str, objects: list[PrintObject]
+) -> None:
+    mixed, plain = [
+        {m.get("key"): m.get("value") for m in element.findall("metadata")}
+        for element in unpacked(write(objects, "t", PAPER))[config].findall("object")
+    ]
+    assert mixed["interlocking_beam"] == "1"
+    # Beams reach half a cell beyond the boundary on average, and a cell is two beams wide.
+    depth = int(mixed["interlocking_depth"]) * float(mixed["interlocking_beam_width"])
+    assert depth == pytest.approx(1e3 * H2D.interlock_depth)
+    assert not any(key.startswith("interlocking") for key in plain)
+
+
+def test_no_beam_is_thinner_than_a_line_and_no_depth_means_no_beams() -> None:
+    shallow = interlocking(replace(H2D, interlock_depth=1e-4))
+    assert float(shallow["interlocking_beam_width"]) == pytest.approx(1e3 * H2D.line_width)
+    assert interlocking(replace(H2D, interlock_depth=0.0)) == {"interlocking_beam": "0"}
+
+
+def test_the_prusa_flavour_brings_the_printer_with_a_nozzle_for_each_filament(objects: list[PrintObject]) -> None:
+    with zipfile.ZipFile(io.BytesIO(prusa_3mf(objects, "t", PAPER))) as archive:
+        lines = archive.read(PRUSA_CONFIG).decode().splitlines()
+    assert all(line.startswith("; ") for line in lines)
+    stored = dict(line[2:].split(" = ", 1) for line in lines if " = " in line)
+    assert stored == prusa_config(H2D, PLA, TPU_90A)
+    assert stored["nozzle_diameter"] == "0.6,0.6"
+    assert stored["bed_shape"] == "0x0,300x0,300x320,0x320"
+    assert (stored["layer_height"], stored["extrusion_width"], stored["max_print_height"]) == ("0.3", "0.62", "320")
+    assert stored["filament_type"] == "PLA,FLEX"
+    assert stored["filament_density"] == "1.24,1.21"

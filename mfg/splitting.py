@@ -1,0 +1,344 @@
+"""Cutting a body that no way up fits the printer: flat cuts clear of the hardware, with pegs to find the place again.
+
+A cut goes through bone and skin of a body alike, so each piece is printed as a body is: rigid and soft as one object.
+The bone carries the joint: round pegs on one face, holes with clearance in the other, and glue between the faces. The
+pegs are cut from what was the other piece, so together the pieces are the body, less the clearance.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from mfg.blueprint import Blueprint, PrintedPart, Transform
+from mfg.exact import box_room
+from mfg.fields import Field
+from mfg.mounts import Mount, mount_of
+from mfg.outcome import Failure, Reason, Stage
+from mfg.plate import fits_printer
+from mfg.printability import with_hardware
+from mfg.solids import Solid, box, cylinder
+
+STEEPEST = np.pi / 3  # most that a tunnel may lean from the normal of a cut that it crosses [rad]
+MOST_CUTS = 48  # tried along one direction
+_FAR = 3.0  # half edge of the box that stands for half of space [m]
+_PIECE = re.compile(r"_(?:bone|skin_\d+)_(\d+)$")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Piece:
+    """What is printed as one object: a body, or a piece of one that was cut.
+
+    Attributes:
+        name: of the body, with the number of the piece if there are several.
+        body: index.
+        parts: rigid and soft.
+    """
+
+    name: str
+    body: int
+    parts: tuple[PrintedPart, ...]
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """All corners, (n, 3) [m], design frame."""
+        return np.concatenate([part.solid.vertices for part in self.parts])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Cut:
+    """A plane, and what the bone is like there.
+
+    Attributes:
+        T_design_cut: frame whose z is the plane's normal.
+        seats: where pegs may stand, deepest in the bone first, (k, 3) design frame.
+        area: of the bone's section [m2].
+    """
+
+    T_design_cut: Transform
+    seats: NDArray[np.float64]
+    area: float
+
+
+@dataclass(frozen=True)
+class SplitSolver:
+    """Cut the bodies of a finished blueprint until every piece fits the printer.
+
+    Attributes:
+        peg_radius: [m].
+        peg_length: that stands out of the face [m].
+        clearance: between peg and hole, all around [m].
+        ground: between a peg's end and the bottom of its hole [m].
+        wall: bone around a hole, least [m].
+        room: between a cut and motors, mounts and boxes, least [m].
+        pitch: between cuts that are tried, and half of that between seats of pegs [m].
+        min_piece: smallest piece of skin worth printing; smaller ones are dropped [m3].
+        most: pieces of one body.
+        tries: cuts that are made for real before a piece is given up.
+    """
+
+    peg_radius: float = 4.0e-3
+    peg_length: float = 10.0e-3
+    clearance: float = 2.5e-4
+    ground: float = 5.0e-4
+    wall: float = 2.4e-3
+    room: float = 3.0e-3
+    pitch: float = 8.0e-3
+    min_piece: float = 5.0e-7
+    most: int = 12
+    tries: int = 24
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint with bodies in pieces that fit, or why one cannot be cut; the others stay."""
+        volume, parts = blueprint.catalogue.printer.volume, list[PrintedPart]()
+        for piece in pieces(blueprint):
+            if fits_printer(piece.points, volume):
+                parts += piece.parts
+                continue
+            cut = self._body(blueprint, piece)
+            if isinstance(cut, Failure):
+                return cut
+            made, lost = cut
+            parts += made
+            count = sum(part.material == "rigid" for part in made)
+            blueprint = blueprint.noted(
+                f"{piece.name}: cut into {count} pieces to fit {blueprint.catalogue.printer.name}; glue the pegs in"
+                + (f"; {1e6 * lost:.2f} cm3 of loose skin dropped" if lost > 0 else "")
+            )
+        return replace(blueprint, parts=tuple(parts))
+
+    def _body(self, blueprint: Blueprint, piece: Piece) -> tuple[list[PrintedPart], float] | Failure:
+        """Pieces of one body, numbered from one end to the other, and the volume of the skin that was dropped [m3]."""
+        bone = next(part.solid for part in piece.parts if part.material == "rigid")
+        skins = [part.solid for part in piece.parts if part.material == "soft"]
+        field = with_hardware(blueprint, piece.body, mount_of(blueprint.catalogue.motor), self.room)
+        whole, done = [(bone, skins)], list[tuple[Solid, list[Solid]]]()
+        while whole:
+            solids = whole.pop(0)
+            if fits_printer(_points(solids), blueprint.catalogue.printer.volume):
+                done.append(solids)
+                continue
+            if len(done) + len(whole) + 2 > self.most:
+                return self._refused(blueprint, piece, f"more than {self.most} pieces would be needed")
+            halves = self._halved(blueprint, piece.body, field, solids)
+            if isinstance(halves, str):
+                return self._refused(blueprint, piece, halves)
+            whole += halves
+        name, lost = blueprint.bodies[piece.body].name, sum(skin.volume for skin in skins)
+        made = []
+        for number, (rigid, soft) in enumerate(done, start=1):
+            made.append(PrintedPart(f"{name}_bone_{number}", piece.body, "rigid", rigid))
+            for k, solid in enumerate(soft, start=1):
+                made.append(PrintedPart(f"{name}_skin_{k}_{number}", piece.body, "soft", solid))
+                lost -= solid.volume
+        return made, max(0.0, lost if lost > 1e-12 else 0.0)
+
+    def _refused(self, blueprint: Blueprint, piece: Piece, why: str) -> Failure:
+        extents = " x ".join(f"{1e3 * e:.0f}" for e in np.ptp(piece.points, axis=0))
+        printer = blueprint.catalogue.printer.name
+        return Failure(
+            Stage.PRINT, Reason.TOO_LARGE, f"{piece.name} measures {extents} mm; no way up fits {printer}, and {why}"
+        )
+
+    def _halved(
+        self, blueprint: Blueprint, body: int, field: Field, solids: tuple[Solid, list[Solid]]
+    ) -> list[tuple[Solid, list[Solid]]] | str:
+        """Both sides of the best cut that can be made, or why none can."""
+        points = _points(solids)
+        tried = crossing = bare = 0
+        cuts: list[_Cut] = []
+        for T in self._planes(points):
+            tried += 1
+            if not self._clear(blueprint, body, T):
+                crossing += 1
+                continue
+            cut = self._section(blueprint, field, solids[0], T)
+            if cut is None:
+                bare += 1
+                continue
+            cuts.append(cut)
+        cuts.sort(key=lambda cut: -round(cut.area, 9))
+        hull = ConvexHull(points)
+        # The largest face that leaves two pieces which fit along the cut's own axes; else the most even cut.
+        # What does not fit then is cut again.
+        room = np.sort(blueprint.catalogue.printer.volume)
+        failed = 0
+        hull = ConvexHull(points)
+        extents = [_extents(hull, cut.T_design_cut) for cut in cuts]
+        fitting = [cut for cut, size in zip(cuts, extents, strict=True) if (np.sort(size, axis=1) <= room).all()]
+        longest = [float(np.round(size.max(), 3)) for size in extents]
+        rest = [cuts[k] for k in np.argsort(longest, kind="stable")][: self.tries]
+        for cut in (*fitting, *rest):
+            halves = self._made(solids, cut)
+            if halves is not None:
+                return halves
+            failed += 1
+        return (
+            f"of {tried} flat cuts {crossing} run too near a motor or a box or along a tunnel, {bare} have no room for "
+            f"two pegs with {1e3 * self.wall:.1f} mm of bone around them, {failed} leave loose pieces; bone "
+            "that is thicker away from the motors would help"
+        )
+
+    def _planes(self, points: NDArray[np.float64]) -> Iterator[Transform]:
+        """Cuts across the design's axes and the principal axes, at every pitch."""
+        centred = points - points.mean(axis=0)
+        _, principal = np.linalg.eigh(centred.T @ centred)
+        for normal in (*np.eye(3), *principal.T):
+            along = points @ normal
+            count = min(int(np.ptp(along) / self.pitch), MOST_CUTS)
+            for offset in along.min() + np.ptp(along) * (np.arange(1, count) / max(count, 1)):
+                T = np.eye(4)
+                x = np.eye(3)[int(np.argmin(np.abs(normal)))]
+                x = x - (x @ normal) * normal
+                T[:3, 0] = x / np.linalg.norm(x)
+                T[:3, 1], T[:3, 2] = np.cross(normal, T[:3, 0]), normal
+                T[:3, 3] = points.mean(axis=0) + (offset - points.mean(axis=0) @ normal) * normal
+                yield T
+
+    def _clear(self, blueprint: Blueprint, body: int, T: Transform) -> bool:
+        """Whether a cut leaves all hardware of a body in one piece and crosses its tunnels steeply."""
+        mount = mount_of(blueprint.catalogue.motor)
+        for seat in blueprint.seats:
+            if body not in (seat.holder, seat.connector):
+                continue
+            low, high = _mount_span(mount, seat.T_design_motor, T)
+            if low - self.room < 0 < high + self.room:
+                return False
+        for placed in blueprint.boxes:
+            if placed.body == body:
+                along = (box_room(placed).vertices - T[:3, 3]) @ T[:3, 2]
+                if along.min() - self.room < 0 < along.max() + self.room:
+                    return False
+        for wire in blueprint.wires:
+            along = (wire.path - T[:3, 3]) @ T[:3, 2]
+            step, length = np.diff(along), np.linalg.norm(np.diff(wire.path, axis=0), axis=1)
+            here = (np.abs(along[:-1]) < 2 * wire.radius) | (np.abs(along[1:]) < 2 * wire.radius)
+            here |= along[:-1] * along[1:] < 0
+            if blueprint.bodies[body].bone.sample(wire.path[:-1][here]).max(initial=-1.0) < 0:
+                continue  # it passes outside of this body's bone
+            if (np.abs(step[here]) < np.cos(STEEPEST) * length[here] - 1e-12).any():
+                return False
+        return True
+
+    def _section(self, blueprint: Blueprint, field: Field, bone: Solid, T: Transform) -> _Cut | None:
+        """The cut with seats for pegs on it, or None where there are not two."""
+        local = (bone.vertices - T[:3, 3]) @ T[:3, :3]
+        if local[:, 2].min() > -self.peg_length or local[:, 2].max() < self.peg_length:
+            return None
+        x, y = (np.arange(local[:, k].min(), local[:, k].max(), self.pitch / 2) for k in (0, 1))
+        grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        across = T[:3, 3] + grid @ T[:3, :2].T
+        inside = field.sample(across)
+        need = self.peg_radius + self.clearance + self.wall
+        deep = inside.astype(np.float64)
+        reach = self.peg_length + self.ground + self.wall
+        for height in np.linspace(-self.wall, reach, 5):
+            deep = np.minimum(deep, field.sample(across + height * T[:3, 2]))
+        for wire in blueprint.wires:
+            near = wire.path[np.abs((wire.path - T[:3, 3]) @ T[:3, 2]) < reach + wire.radius]
+            if len(near):
+                flat = ((near - T[:3, 3]) @ T[:3, :2])[None]
+                away = np.linalg.norm(grid[:, None] - flat, axis=2).min(1)
+                deep = np.minimum(deep, away - wire.radius)
+        good = np.flatnonzero(deep >= need)
+        if len(good) < 2:
+            return None
+        good = good[np.argsort(-np.round(deep[good], 6), kind="stable")]
+        return _Cut(T, across[good], float((inside > 0).sum()) * (self.pitch / 2) ** 2)
+
+    def _made(self, solids: tuple[Solid, list[Solid]], cut: _Cut) -> list[tuple[Solid, list[Solid]]] | None:
+        """Both sides with pegs and holes as exact solids, or None if a side would be in pieces or a peg break out."""
+        bone, skins = solids
+        above = box((-_FAR, -_FAR, 0.0), (_FAR, _FAR, _FAR)).moved(cut.T_design_cut)
+        lower, upper = (bone - above).components(), (bone ^ above).components()
+        if len(lower) != 1 or len(upper) != 1:
+            return None
+        seats = self._seats(bone, cut)
+        if len(seats) < 2:
+            return None
+        pegs, holes = [], []
+        for seat in seats:
+            T = cut.T_design_cut.copy()
+            T[:3, 3] = seat
+            # A peg begins below the face, so that the two are one solid and not two that touch.
+            pegs.append(cylinder(self.peg_radius, -self.wall / 2, self.peg_length).moved(T))
+            holes.append(cylinder(self.peg_radius + self.clearance, -1e-3, self.peg_length + self.ground).moved(T))
+        with_pegs = lower[0]
+        for peg in pegs:
+            with_pegs = with_pegs + peg
+        with_holes = upper[0].minus(holes)
+        if len(with_pegs.components()) != 1 or len(with_holes.components()) != 1:
+            return None
+        below, over = [], []
+        for skin in skins:
+            # The kernel tidies seams, so bone and skin no longer share one exactly after a cut.
+            below += [s for s in (skin - above - with_pegs).components() if s.volume >= self.min_piece]
+            over += [s for s in ((skin ^ above) - with_holes).components() if s.volume >= self.min_piece]
+        return [(with_pegs, below), (with_holes, over)]
+
+    def _seats(self, bone: Solid, cut: _Cut) -> list[NDArray[np.float64]]:
+        """Two places for pegs, far apart, with bone all around: the field proposes, the solid decides."""
+        radius, depth = self.peg_radius + self.clearance + self.wall, self.peg_length + self.ground + self.wall
+        sound: list[NDArray[np.float64]] = []
+        left = cut.seats
+        while len(left) and len(sound) < 2:
+            # The first is the deepest; the second the farthest from it.
+            place = left[0] if not sound else left[int(np.argmax(np.linalg.norm(left - sound[0], axis=1)))]
+            if sound and np.linalg.norm(place - sound[0]) < 2 * radius:
+                break
+            T = cut.T_design_cut.copy()
+            T[:3, 3] = place
+            around = cylinder(radius, -self.wall, depth).moved(T)
+            if around.volume - bone.overlap(around) < 1e-12:
+                sound.append(place)
+            left = left[np.linalg.norm(left - place, axis=1) > 1e-9]
+        return sound
+
+
+def pieces(blueprint: Blueprint) -> list[Piece]:
+    """What is printed as one object each, in the order of bodies and within a body from the first piece on."""
+    found = []
+    for index, body in enumerate(blueprint.bodies):
+        by_number: dict[int, list[PrintedPart]] = {}
+        for part in blueprint.parts:
+            if part.body == index:
+                match = _PIECE.search(part.name)
+                by_number.setdefault(int(match[1]) if match else 0, []).append(part)
+        for number in sorted(by_number):
+            name = f"{body.name}_{number}" if number else body.name
+            found.append(Piece(name, index, tuple(by_number[number])))
+    return found
+
+
+def _points(solids: tuple[Solid, Sequence[Solid]]) -> NDArray[np.float64]:
+    return np.concatenate([solids[0].vertices, *(skin.vertices for skin in solids[1])])
+
+
+def _mount_span(mount: Mount, T_design_motor: Transform, T: Transform) -> tuple[float, float]:
+    """Least and greatest height above a plane of a motor with both halves of its mount."""
+    lean = float(T[:3, 2] @ T_design_motor[:3, 2])
+    middle = float(T[:3, 2] @ (T_design_motor[:3, 3] - T[:3, 3]))
+    side = mount.envelope_radius * float(np.sqrt(max(0.0, 1.0 - lean**2)))
+    ends = middle + lean * mount.base_low, middle + lean * mount.connector_high
+    return min(ends) - side, max(ends) + side
+
+
+def _sides(hull: ConvexHull, T: Transform) -> list[NDArray[np.float64]]:
+    """Corners of the two halves of a convex hull: nothing that is in it reaches farther."""
+    height = (hull.points - T[:3, 3]) @ T[:3, 2]
+    edges = np.concatenate([hull.simplices[:, [0, 1]], hull.simplices[:, [1, 2]], hull.simplices[:, [2, 0]]])
+    a, b = edges[height[edges[:, 0]] * height[edges[:, 1]] < 0].T
+    share = (height[a] / (height[a] - height[b]))[:, None]
+    section = hull.points[a] + share * (hull.points[b] - hull.points[a])
+    above = height[hull.vertices] > 0
+    return [np.concatenate([hull.points[hull.vertices[side]], section]) for side in (~above, above)]
+
+
+def _extents(hull: ConvexHull, T: Transform) -> NDArray[np.float64]:
+    """Of both sides of a cut, along its axes [m], (2, 3)."""
+    return np.stack([np.ptp((side - T[:3, 3]) @ T[:3, :3], axis=0) for side in _sides(hull, T)])
