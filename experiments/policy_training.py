@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 import zipfile
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STATE, EXPLOSIONS = "training.npz", "explosions"
+STATE, EXPLOSIONS, ROBOT = "training.npz", "explosions", "robot.sha256"
 BLUEPRINT, EVENTS, VIDEO, STRIP, PAGE = "blueprint", "events", "walk.mp4", "walk.png", "behaviour.html"
 GAIT, FINAL = 3, 4  # purposes of randomness beside those of `sim.training`
 EPISODE = 20.0  # of the closing measurement [s]
@@ -63,11 +64,12 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     description, source = _robot(Path(config.robot), folder)
     model = _model(config, source)
     keep_config(config, folder)
+    _same_robot(source, mark.parent / ROBOT, config.robot)
     if mark.exists():
         trainer = _restored(config, model, workers, mark)
     else:
         trainer = Trainer(model, config.training(), _start(config, model, workers), nthread=workers)
-    with event_file(folder / EVENTS, min(trainer.done * config.chunk, config.steps)) as events:
+    with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
         try:
             for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
                 pass
@@ -96,6 +98,20 @@ def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
     if not (path / "robot.xml").exists():
         raise BadInput(f"{path} has no robot.xml; give a blueprint folder (`bodyplan build` makes one) or a design")
     return read_description(path), path
+
+
+def _same_robot(source: Path, path: Path, robot: str) -> None:
+    """Note which robot is trained, or refuse to go on with another one."""
+    digest = hashlib.sha256()
+    for file in (source / "robot.xml", *sorted((source / "meshes").glob("*"))):
+        digest.update(file.name.encode() + file.read_bytes())
+    if not path.exists():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(digest.hexdigest() + "\n", encoding="utf-8")
+    elif path.read_text(encoding="utf-8").strip() != digest.hexdigest():
+        raise BadInput(
+            f"{robot} has changed since this training began; choose another --out, or bring the old one back"
+        )
 
 
 def _model(config: Policy, source: Path) -> Model:
@@ -176,11 +192,13 @@ def _chunks(trainer: Trainer, mark: Path, events: Events) -> Any:
 
 
 def keep_explosions(explosions: Sequence[Explosion], folder: Path, chunk: int) -> None:
-    """Write down in which state and under which targets physics was lost, to look into it; nothing if it was not."""
+    """Write down in which state, as which robot and under which control physics was lost; nothing if it was not."""
     if explosions:
-        states = {f"{k}/state": explosion.state for k, explosion in enumerate(explosions)}
-        targets = {f"{k}/targets": explosion.targets for k, explosion in enumerate(explosions)}
-        write_state(folder / f"chunk_{chunk:04}.npz", states | targets)
+        found: dict[str, Array] = {}
+        for k, explosion in enumerate(explosions):
+            found |= {f"{k}/state": explosion.state, f"{k}/control": explosion.control}
+            found |= {f"{k}/draws/{name}": value for name, value in explosion.draws.items()}
+        write_state(folder / f"chunk_{chunk:04}.npz", found)
 
 
 def curves(chunk: Chunk) -> dict[str, float]:
@@ -227,12 +245,20 @@ def read_state(path: Path) -> dict[str, Array]:
         # Opened here, because numpy leaves a file open that it cannot read.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state = {name: archive[name] for name in archive.files}
-    except (ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+    except (TypeError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
         raise BadInput(f"{path}: not a readable checkpoint ({error}); choose another --out") from None
     broken = [name for name, value in state.items() if value.dtype != float and name != "done"]
     if "heading" not in state or "done" not in state or broken:
         raise BadInput(f"{path}: not a checkpoint of a training; choose another --out")
     return state
+
+
+def _guarded(task: str) -> tuple[str, ...]:
+    """What a real robot's guards will not let a policy do."""
+    if task != "recover":
+        return ()
+    return ("a robot that gets up turns far from how it lay, which the tilt guard takes for a fall: this policy runs in "
+            "simulation only",)  # fmt: skip
 
 
 def _conclude(
@@ -267,7 +293,7 @@ def _conclude(
         "design": description.name,
         "heading_rad": trainer.start.heading,
         "rhythm": trainer.start.rhythm is not None,
-        "steps": min(trainer.done * config.chunk, config.steps),
+        "steps": trainer.training.simulated(trainer.done),
         "best": asdict(verdict) | {"score": verdict.score},
         "behaviour": behaviour.to_json() | {"steps_per_s": None},
         "randomised": {
@@ -277,7 +303,7 @@ def _conclude(
             "least_speed_m_s": min((trial.speed for trial in alive), default=0.0),
         },
         "motors": [use.to_json() for use in uses],
-        "warnings": list(motor_warnings(motor_limits(model), uses)),
+        "warnings": [*motor_warnings(motor_limits(model), uses), *_guarded(config.task)],
     }
     save_strip(folder / STRIP, model, rollouts)
     if config.film > 0:

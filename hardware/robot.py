@@ -250,7 +250,7 @@ class Robot:
         elif self.state is State.HOLD:
             target = default
         else:
-            if seconds == 0.0 and imu is not None:
+            if self._upright is None and imu is not None:
                 self._upright = imu[0]
             if not isinstance(self.bundle.actor, Gait):
                 # What it sees is measured now, by asking for the same once more, as it was when it was trained.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim.actor import Gait, smooth_step
 from sim.closed_loop import Senses, default_pose
 from sim.herd import Herd
-from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, drive_of
+from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, body_length, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import Randomisation, apply, draw, nominal, push, pushed
 from sim.rollout import CONTROL_PERIOD, FALL_TILT, GRAVITY, LEAD_IN, root_quaternion, settle, turned
@@ -53,12 +53,14 @@ class Explosion:
 
     Attributes:
         state: full state before the period, (nstate,).
-        targets: joint targets of that period [rad], (n,).
+        control: what its motors were told in that period [rad], (n,).
+        draws: how that copy differs from the model, its row of every array of `sim.randomisation.Draws` by name.
         reason: in words.
     """
 
     state: Array
-    targets: Array
+    control: Array
+    draws: Mapping[str, Array]
     reason: str
 
 
@@ -143,6 +145,7 @@ class Environment:
         self._standing = self._start[root_quaternion(self.model)]
         self._weight = float(self.model.body_subtreemass[1]) * GRAVITY
         self._default = default_pose(self.model)
+        self._size = body_length(self.model)
         self._rng = np.random.default_rng(0)
         self._senses = Senses(self.herd, self.layout, nominal(self.count, self.model.nu))
         self._age, self._born = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.int64)
@@ -179,7 +182,8 @@ class Environment:
         if senses.draws.push_speed is not None:
             push(herd, pushed(senses.draws, herd.period, self._rng), senses.draws.push_speed, self._rng)
         state = herd.batch.state.copy() if len(self.explosions) < MOST_EXPLOSIONS else None
-        gone = herd.advance(targets - senses.draws.encoder_offset)
+        control = targets - senses.draws.encoder_offset
+        gone = herd.advance(control)
         up, yaw = turned(self._standing, herd.qpos[:, 3:7])
         moment = self._moment(before, yaw, up[:, 2], np.clip(said, -1.0, 1.0))
         parts = terms(self.task, moment)
@@ -191,7 +195,7 @@ class Environment:
         truncated = ~terminated & (self._age >= self.length)
         self._return += reward
         self._said = np.clip(said, -1.0, 1.0)
-        self._note(gone, state, targets)
+        self._note(gone, state, control)
         observation = senses.see(herd, self._rng)
         ended = np.flatnonzero(terminated | truncated)
         last = observation[ended].copy()
@@ -225,14 +229,15 @@ class Environment:
             (torque * speed).sum(axis=1) / self._weight, self._commands,
         )  # fmt: skip
 
-    def _note(self, gone: NDArray[np.bool_], state: Array | None, targets: Array) -> None:
+    def _note(self, gone: NDArray[np.bool_], state: Array | None, control: Array) -> None:
         self.lost += int(gone.sum())
         if state is None:
             return
         for index in np.flatnonzero(gone)[: MOST_EXPLOSIONS - len(self.explosions)]:
             counts = self.herd.batch.warning[index, :, 1]
             reason = f"{int(counts.sum())} warnings of the physics" if counts.any() else "a speed beyond every robot's"
-            self.explosions.append(Explosion(state[index], targets[index].copy(), reason))
+            draws = self._senses.draws.row(int(index))
+            self.explosions.append(Explosion(state[index], control[index].copy(), draws, reason))
 
     def _begin(self, ids: Ids) -> None:
         """New episodes for some copies."""
@@ -251,7 +256,7 @@ class Environment:
         if self.task.goal is Goal.RECOVER:
             turn = rng.standard_normal((len(ids), 4))
             states[:, root_quaternion(model)] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-            states[:, 3] += 0.5 * float(model.stat.extent)
+            states[:, 3] += 0.5 * self._size
         herd.place(ids, states)
         self._commands[ids] = rng.uniform(-1, 1, (len(ids), 3)) * self.task.commands
         self._senses.begin(herd, ids)

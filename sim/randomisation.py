@@ -113,6 +113,11 @@ class Draws:
     push_every: float = 4.0
     noise: Noise | None = None
 
+    def row(self, index: int) -> dict[str, Array]:
+        """What one copy drew, by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: np.array(value[index]) for name, value in values.items() if isinstance(value, np.ndarray)}
+
     def changed(self, ids: NDArray[np.intp], other: Draws) -> Draws:
         """The same with the rows `ids` taken from `other`, which has one row for each of them."""
         found: dict[str, Any] = {}

@@ -15,7 +15,7 @@ from sim.learning import USUAL, Learner, Ppo, Unlearnable
 from sim.model import Model
 from sim.randomisation import RANDOMISED, Randomisation, draw
 from sim.rollout import Behaviour, measure, settle
-from sim.tasks import FAST, SCALE, Task
+from sim.tasks import FAST, SCALE, Goal, Task
 
 Array = NDArray[np.float64]
 
@@ -60,6 +60,11 @@ class Training:
     def chunks(self) -> int:
         """How many."""
         return -(-self.steps // self.chunk)
+
+    def simulated(self, chunks: int) -> int:
+        """Control periods after so many chunks: each is rounded up to whole updates of the learner."""
+        steps = [min(self.chunk, self.steps - index * self.chunk) for index in range(chunks)]
+        return sum(-(-step // self.ppo.update) * self.ppo.update for step in steps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,6 +118,7 @@ class Verdict:
         falls: of the randomised episodes.
         episodes: how many those are.
         lost: episodes in which the physics exploded.
+        reward: of a control period in randomised episodes of the task, on average; None where the task is speed.
     """
 
     speed: float
@@ -120,10 +126,13 @@ class Verdict:
     falls: int
     episodes: int
     lost: int
+    reward: float | None = None
 
     @property
     def score(self) -> float:
-        """What chooses the best so far [m/s]: the mean of both speeds, less what falls cost."""
+        """What chooses the best so far: the task's reward, or for speed the mean of both speeds, less falls [m/s]."""
+        if self.reward is not None:
+            return self.reward
         return (self.speed + self.robust_speed) / 2 * (1.0 - self.falls / max(self.episodes, 1) / 2)
 
 
@@ -193,8 +202,9 @@ class Trainer:
         verdict = evaluate(self.model, actor, training, self.nthread, self._settled)
         if self.best_verdict is None or verdict.score > self.best_verdict.score:
             self.best, self.best_verdict = actor, verdict
-        done = min(self.done * training.chunk, training.steps)
-        return Chunk(index, done, seconds, curves.get("speed", 0.0) / SCALE / 2.0, curves, verdict)
+        return Chunk(
+            index, training.simulated(self.done), seconds, curves.get("speed", 0.0) / SCALE / 2.0, curves, verdict
+        )
 
     def state(self) -> dict[str, Array]:
         """All that a later process needs to go on, as named arrays."""
@@ -204,7 +214,8 @@ class Trainer:
             for index, (weight, bias) in enumerate(self.best.layers):
                 found[f"best/{index}/weight"], found[f"best/{index}/bias"] = weight, bias
             v = self.best_verdict
-            found["verdict"] = np.array([v.speed, v.robust_speed, v.falls, v.episodes, v.lost])
+            reward = np.nan if v.reward is None else v.reward
+            found["verdict"] = np.array([v.speed, v.robust_speed, v.falls, v.episodes, v.lost, reward])
         return found
 
     def restore(self, state: Mapping[str, Array]) -> None:
@@ -221,12 +232,15 @@ class Trainer:
             count = len(actor.layers)
             layers = tuple((state[f"best/{k}/weight"], state[f"best/{k}/bias"]) for k in range(count))
             self.best = replace(actor, layers=layers)
-            speed, robust, falls, episodes, lost = (float(v) for v in state["verdict"])
-            self.best_verdict = Verdict(speed, robust, int(falls), int(episodes), int(lost))
+            speed, robust, falls, episodes, lost, reward = (float(v) for v in state["verdict"])
+            known = None if np.isnan(reward) else reward
+            self.best_verdict = Verdict(speed, robust, int(falls), int(episodes), int(lost), known)
 
 
-def evaluate(model: Model, actor: Actor, training: Training, nthread: int = 1, start: Array | None = None) -> Verdict:
-    """Measure a policy without exploration: once on the model as it is, and in randomised episodes.
+def evaluate(
+    model: Model, actor: Perceptron, training: Training, nthread: int = 1, start: Array | None = None
+) -> Verdict:
+    """Measure a policy without exploration: once on the model as it is, in randomised episodes, and by its task.
 
     The draws are the same for every policy of a training, so that verdicts differ by the policy alone.
     """
@@ -239,7 +253,23 @@ def evaluate(model: Model, actor: Actor, training: Training, nthread: int = 1, s
         speed=0.0 if plain is None else plain.speed * plain.upright,
         robust_speed=float(sum(b.speed * b.upright for b in alive)) / len(behaviours),
         falls=sum(b.fell for b in alive), episodes=len(behaviours), lost=len(behaviours) - len(alive),
+        reward=None if training.task.goal is Goal.SPEED else mean_reward(model, actor, training, nthread),
     )  # fmt: skip
+
+
+def mean_reward(model: Model, actor: Perceptron, training: Training, nthread: int = 1) -> float:
+    """The reward of a control period under a policy without exploration, over randomised episodes of its task."""
+    episode = replace(training.episode, seconds=EVALUATION_SECONDS, history=actor.history)
+    environment = Environment(
+        model, EPISODES, training.task, actor.actions, training.randomisation or RANDOMISED, episode, actor.rhythm,
+        nthread,
+    )  # fmt: skip
+    observation = environment.reset(np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(EVALUATE,))))
+    total = 0.0
+    for _ in range(environment.length):
+        step = environment.step(actor.say(observation))
+        observation, total = step.observation, total + float(step.reward.mean())
+    return total / environment.length
 
 
 def randomised(

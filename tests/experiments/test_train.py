@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -73,7 +75,7 @@ def test_the_folder_is_a_bundle_and_says_what_was_measured(trained: Path) -> Non
     bundle, result = load_bundle(trained), json.loads((trained / "result.json").read_text("utf-8"))
     assert len(bundle.joints) == len(result["motors"]) == 3
     assert result["kind"] == "policy"
-    assert result["steps"] == 3000
+    assert result["steps"] == 3072  # three chunks of 1000, each in four updates of 256
     assert result["behaviour"]["seconds"] == 20.0
     assert result["randomised"]["episodes"] == 10
     assert 0 <= result["randomised"]["falls"] <= 10
@@ -84,12 +86,13 @@ def test_the_folder_is_a_bundle_and_says_what_was_measured(trained: Path) -> Non
 
 
 def test_states_in_which_physics_was_lost_are_written_down(tmp_path: Path) -> None:
-    lost = [Explosion(np.arange(5.0) + k, np.array([0.1, 0.2]), "a reason") for k in range(2)]
+    draws = {"mass": np.ones(3)}
+    lost = [Explosion(np.arange(5.0) + k, np.array([0.1, 0.2]), draws, "a reason") for k in range(2)]
     keep_explosions([], tmp_path / "none", 0)
     assert not (tmp_path / "none").exists()
     keep_explosions(lost, tmp_path / "some", 7)
     with np.load(tmp_path / "some" / "chunk_0007.npz") as kept:
-        assert sorted(kept.files) == ["0/state", "0/targets", "1/state", "1/targets"]
+        assert sorted(kept.files) == [f"{k}/{name}" for k in (0, 1) for name in ("control", "draws/mass", "state")]
         np.testing.assert_array_equal(kept["1/state"], lost[1].state)
 
 
@@ -187,12 +190,27 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(
     (folder / "checkpoint").mkdir(parents=True)
     (folder / "config.toml").write_bytes((trained / "config.toml").read_bytes())
     whole = (trained / "checkpoint" / "training.npz").read_bytes()
-    for content in (b"", b"nonsense", whole[: len(whole) // 2]):
+    plain = io.BytesIO()
+    np.save(plain, np.zeros(3))
+    for content in (b"", b"nonsense", whole[: len(whole) // 2], plain.getvalue()):
         (folder / "checkpoint" / "training.npz").write_bytes(content)
         said = bodyplan("run", config, "--out", folder, "--resume")
         assert said.status == 2
         assert "training.npz" in said.err
         assert "Traceback" not in said.err
+
+
+def test_a_training_is_not_resumed_with_another_robot(
+    bodyplan: Callable[..., Any], config: Path, trained: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "other"
+    shutil.copytree(trained / "checkpoint", folder / "checkpoint")
+    (folder / "config.toml").write_bytes((trained / "config.toml").read_bytes())
+    (folder / "checkpoint" / "robot.sha256").write_text("0" * 64 + "\n")
+    said = bodyplan("run", config, "--out", folder, "--resume")
+    assert said.status == 2
+    assert "has changed since this training began" in said.err
+    assert said.err.count("\n") == 1
 
 
 def test_a_bundle_of_another_origin_is_not_written_over(

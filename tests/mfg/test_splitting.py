@@ -208,7 +208,7 @@ def cut(built: Outcome) -> Blueprint:
     assert isinstance(refused, Failure)
     assert refused.reason is Reason.TOO_LARGE
     made = FinishSolver(split=True).solve(ready.blueprint)
-    return checked(built.blueprint, made, tidied=1e-7)
+    return checked(built.blueprint, made, tidied=3e-7)
 
 
 def test_a_robot_is_cut_and_its_files_know_the_pieces(cut: Blueprint) -> None:

@@ -15,7 +15,8 @@ from sim.herd import with_latency_room
 from sim.model import make_spec
 from sim.randomisation import RANDOMISED
 from sim.rollout import CONTROL_PERIOD, LEAD_IN
-from sim.tasks import FAST, Goal
+from sim.tasks import FAST, Goal, Task
+from sim.terrain import Kind, Terrain, lay
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +95,28 @@ def test_physics_that_explodes_is_counted_and_kept_and_the_rest_goes_on(model: A
         environment.step(np.zeros((3, 4)))
     assert environment.lost == 1 + 3 * MOST_EXPLOSIONS
     assert len(environment.explosions) == MOST_EXPLOSIONS
+
+
+def test_an_explosion_is_kept_with_the_robot_it_happened_to(model: Any) -> None:
+    environment = Environment(model, 2, randomisation=RANDOMISED)
+    environment.reset(np.random.default_rng(1))
+    environment.herd.qvel[1, 0] = 1e9
+    environment.step(np.full((2, 4), 0.2))
+    (explosion,) = environment.explosions
+    assert {"latency", "mass", "encoder_offset", "friction"} <= set(explosion.draws)
+    assert explosion.draws["mass"].shape == (model.nbody - 1,)
+    # The motors read an angle that is off, so they are told another one than the policy wants.
+    assert np.abs(explosion.control + explosion.draws["encoder_offset"]).max() < 0.2
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_whoever_is_to_recover_is_dropped_from_its_own_height_on_any_ground(quadruped: Description, kind: Kind) -> None:
+    spec = make_spec(quadruped)
+    lay(spec, Terrain(kind, seed=1))
+    robot = with_latency_room(spec)
+    environment = Environment(robot, 4, Task(Goal.RECOVER))
+    environment.reset(np.random.default_rng(0))
+    assert environment.herd.qpos[:, 2].max() < 1.0
 
 
 @pytest.mark.parametrize("goal", list(Goal))

@@ -11,10 +11,23 @@ import torch
 
 from mfg.description import Description
 from sim.actor import Gait
+from sim.environment import TEN_SECONDS, Environment
 from sim.herd import with_latency_room
-from sim.learning import USUAL, Unlearnable
+from sim.learning import USUAL, Unlearnable, Vector
 from sim.model import make_spec
-from sim.training import Race, Start, Trainer, Training, evaluate, headings, start_of, starts
+from sim.tasks import Goal, Task
+from sim.training import (
+    Race,
+    Start,
+    Trainer,
+    Training,
+    Verdict,
+    evaluate,
+    headings,
+    mean_reward,
+    start_of,
+    starts,
+)  # fmt: skip
 
 SMALL = Training(
     seed=5, steps=192, chunk=64, ppo=replace(USUAL, copies=4, horizon=16, minibatch=32, epochs=2, units=16)
@@ -84,13 +97,55 @@ def test_a_rhythm_and_its_start_survive_the_checkpoint(model: Any) -> None:
     assert start_of(FREE.state()).rhythm is None
 
 
-def test_the_best_so_far_has_the_best_verdict(model: Any) -> None:
-    trainer = Trainer(model, SMALL, FREE)
-    scores = [trainer.advance().verdict.score for _ in range(3)]
+def test_the_best_so_far_has_the_best_verdict(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    speeds = iter([0.1, 0.3, 0.2])
+    monkeypatch.setattr("sim.training.evaluate", lambda *_, **__: Verdict(s := next(speeds), s, 0, 10, 0))
+    trainer, actors = Trainer(model, SMALL, FREE), []
+    for _ in range(3):
+        trainer.advance()
+        actors.append(trainer.actor())
     assert trainer.best_verdict is not None
+    assert trainer.best_verdict.score == pytest.approx(0.3)
     assert trainer.best is not None
-    assert trainer.best_verdict.score == max(scores)
-    assert evaluate(model, trainer.best, SMALL) == trainer.best_verdict
+    for (W, _), (best, _), (last, _) in zip(actors[1].layers, trainer.best.layers, actors[2].layers, strict=True):
+        np.testing.assert_array_equal(best, W)
+        assert not np.array_equal(best, last)
+
+
+def test_other_tasks_are_judged_by_their_reward(model: Any) -> None:
+    still, running = Trainer(model, SMALL, FREE).actor(), Trainer(model, SMALL, CORRECTED).actor()
+    stand = replace(SMALL, task=Task(Goal.STAND))
+    assert evaluate(model, still, stand).score > evaluate(model, running, stand).score
+    assert evaluate(model, still, SMALL).reward is None
+    one, two = (mean_reward(model, still, replace(SMALL, task=Task(goal))) for goal in (Goal.STAND, Goal.RECOVER))
+    assert one != two
+    assert mean_reward(model, still, stand) == mean_reward(model, still, stand, nthread=2)
+
+
+def test_a_learner_hears_how_an_episode_ended(model: Any) -> None:
+    """By time, with the last observation and a value to go on with; by a fall, without."""
+    short, long = (
+        Vector(Environment(model, 2, episode=replace(TEN_SECONDS, seconds=s)), np.random.default_rng(3))
+        for s in (0.4, 10)
+    )
+    for vector in (short, long):
+        vector.reset()
+        vector.environment._age[:] = vector.environment._born[:] = 0  # not staggered: all end together
+    for k in range(20):
+        for vector in (short, long):
+            vector.step_async(np.full((2, model.nu), 0.1))
+        _, _, done, infos = short.step_wait()
+        observation, *_ = long.step_wait()
+        assert done.tolist() == [k == 19] * 2
+    for index, info in enumerate(infos):
+        assert info["TimeLimit.truncated"] is True
+        np.testing.assert_array_equal(info["terminal_observation"], observation[index])
+    long.environment.herd.qpos[1, 3:7] = 0.0, 1.0, 0.0, 0.0
+    long.step_async(np.zeros((2, model.nu)))
+    _, _, done, infos = long.step_wait()
+    assert done.tolist() == [False, True]
+    assert infos[0] == {}
+    assert infos[1]["TimeLimit.truncated"] is False
 
 
 def test_a_checkpoint_of_another_learner_is_refused(model: Any, whole: Trainer) -> None:
@@ -109,7 +164,11 @@ def test_learning_leaves_nothing_behind(model: Any, tmp_path: Any, monkeypatch: 
 
 def test_exploration_narrows_as_planned(model: Any) -> None:
     trainer = Trainer(model, SMALL, FREE)
-    spreads = [trainer.advance().curves["spread"] for _ in range(3)]
+    spreads = []
+    for _ in range(3):
+        trainer.advance()
+        (spread,) = set(trainer.learner.ppo.policy.log_std.exp().tolist())  # of every joint, and the policy's own
+        spreads.append(spread)
     assert spreads[0] == pytest.approx(SMALL.ppo.spread)
     assert spreads == sorted(spreads, reverse=True)
     assert spreads[-1] == pytest.approx(SMALL.last_spread)
