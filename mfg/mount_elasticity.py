@@ -66,7 +66,8 @@ def mount_stress(
     limit = _body(coverage(around, spacing), far, bone.volume() / spacing**3)
     hub = _hub(radial, along, mount, half)
     cut = np.maximum(
-        np.float32(mount.attach_radius) - radial, cylinder_depth(radial, along, *keepout(mount, half)).astype(np.float32)
+        np.float32(mount.attach_radius) - radial,
+        cylinder_depth(radial, along, *keepout(mount, half)).astype(np.float32),
     )
     depth = np.maximum(np.minimum(around, -cut), hub)
     modulus = plastic.modulus * plastic.stiffness(depth, spacing)
@@ -85,7 +86,7 @@ def mount_stress(
     ring = _screw_ring(points, mount, half, spacing)
     if held.sum() < 4 or not ring.any():
         return MountStress(np.inf, 0.0, len(model.cells), np.inf)
-    forces = np.stack([_couple(points, ring, couple) for couple in load_cases(mount.motor)])
+    forces = np.stack([_couple(points, ring, couple) for couple in load_cases(mount.motor.peak_torque)])
     moved = model.displacements(forces, held)
     if moved is None:
         return MountStress(np.inf, 0.0, len(model.cells), np.inf)
@@ -133,7 +134,9 @@ def _screw_ring(points: Array, mount: Mount, half: Half, spacing: float) -> NDAr
     low, high = (
         (mount.base_low, mount.housing_low) if half == "holder" else (mount.connector_low, mount.connector_low + 6e-3)
     )
-    near = np.abs(np.hypot(points[:, 0], points[:, 1]) - pattern.circle_radius) < max(spacing, pattern.head_diameter / 2)
+    near = np.abs(np.hypot(points[:, 0], points[:, 1]) - pattern.circle_radius) < max(
+        spacing, pattern.head_diameter / 2
+    )
     return near & (points[:, 2] > low - spacing) & (points[:, 2] < high + spacing)
 
 

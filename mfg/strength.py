@@ -8,13 +8,15 @@ cut. `mfg.mount_elasticity` computes the same with finite elements; `NOTCH` cove
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfg.catalogue import Filament, Motor, Printer
+from mfg.catalogue import Filament, Printer
 from mfg.fields import Field, coverage
 from mfg.mounts import Mount, motor_pose
 
@@ -77,9 +79,9 @@ class Plastic:
         return filled - (1 - self.infill) * inner
 
 
-def load_cases(motor: Motor) -> Array:
+def load_cases(peak_torque: float) -> Array:
     """Couples on the mount in its frame [N.m], (3, 3): the peak torque about z, the bending share about x and y."""
-    return np.diag([BENDING_SHARE * motor.peak_torque] * 2 + [motor.peak_torque])[[2, 0, 1]]
+    return peak_torque * np.diag([BENDING_SHARE, BENDING_SHARE, 1.0])[[2, 0, 1]]
 
 
 def superposed(response: Array) -> Array:
@@ -122,18 +124,23 @@ class Sections:
         points = (position + height[:, None] * axis)[:, None, None] + radius[:, None, None] * circle
         return Sections(mount, plastic, bone.sample(points), -half * CELL, bone.volume())
 
-    def safety(self, offset: float, half: Half, flipped: bool = False) -> float:
+    def safety(self, offset: float, half: Half, flipped: bool = False, least: float = 0.0) -> float:
         """Strength over the greatest stress in any section around one half of the mount; 0 where nothing holds it.
 
         Args:
             offset: of the motor along the hinge axis [m].
             half: which half of the mount this bone carries.
             flipped: whether the motor's output points against the hinge axis.
+            least: factor that matters; of a mount below it, only that it is below is found out.
         """
-        return safety_factor(self.stress(offset, half, flipped), self.plastic.strength)
+        most = self.plastic.strength / least if least > 0 else np.inf
+        return safety_factor(self.stress(offset, half, flipped, most), self.plastic.strength)
 
-    def stress(self, offset: float, half: Half, flipped: bool = False) -> float:
-        """The greatest stress in any section, notches included [Pa]; infinite where the bone has no hold."""
+    def stress(self, offset: float, half: Half, flipped: bool = False, most: float = np.inf) -> float:
+        """The greatest stress in any section, notches included [Pa]; infinite where the bone has no hold.
+
+        Sections beyond the first one with more than `most` are not looked at.
+        """
         outer, low, high = span(self.mount, half)
         first, last = self._layers(offset, low, high, flipped)
         a, b, m = first - 1, last, round((outer - self.mount.attach_radius) / CELL)
@@ -155,7 +162,7 @@ class Sections:
                 return np.inf
             stress, volume = found
             worst, held = max(worst, stress), held + volume
-            if held > BODY_SHARE * self.volume:
+            if held > BODY_SHARE * self.volume or NOTCH * worst > most:
                 break
             a, b, m = a - 1, b + 1, m + 1
         return NOTCH * worst
@@ -178,33 +185,45 @@ class Sections:
         along, around = np.nonzero(filled)
         if len(along) < 4:
             return None
-        radius = self.mount.attach_radius + (r[along] + 0.5) * CELL
+        z, r = z[along], r[along]
+        radius = self.mount.attach_radius + (r + 0.5) * CELL
         circle = _circle()[around]
-        point = np.column_stack([radius[:, None] * circle, self.low + (z[along] + 0.5) * CELL])
-        side = r[along] == m
-        normal = np.column_stack([circle * side[:, None], ~side])
+        side = (r == m).astype(np.float64)
+        normal = np.column_stack([circle * side[:, None], 1.0 - side])
+        depth = self.depth[z, r, around]
         arc = radius * (2 * np.pi / AZIMUTHS)
-        weight = CELL * arc * self.plastic.stiffness(self.depth[z[along], r[along], around], CELL)
+        weight = CELL * arc * self.plastic.stiffness(depth, CELL)
+        point = np.column_stack([radius[:, None] * circle, self.low + (z + 0.5) * CELL])
         # The middle of the section as the origin: a couple has no place of its own, and the sums stay well scaled.
         point -= weight @ point / weight.sum()
+        (x, y, h), (u, v, w) = point.T, normal.T
+        arm = np.column_stack([normal, y * w - h * v, h * u - x * w, x * v - y * u])
         shear = 0.5 / (1 + POISSON)
-        arm = np.concatenate([normal, np.cross(point, normal)], axis=1)
         K = (1 - shear) * (arm.T * weight) @ arm
         spread = (point.T * weight) @ point
         K[:3, :3] += shear * weight.sum() * np.eye(3)
         K[3:, 3:] += shear * (np.trace(spread) * np.eye(3) - spread)
-        scale = np.repeat([1.0, CELL], 3)  # Metres to cells, so that one bound serves both halves of the matrix.
-        scaled = K / np.outer(scale, scale)
+        # In cells instead of metres, one bound serves both halves of the matrix: a section in one line turns freely.
+        scale = np.repeat([1.0, 1.0 / CELL], 3)
+        scaled = K * np.outer(scale, scale)
         if np.linalg.eigvalsh(scaled)[0] < 1e-9 * np.trace(scaled):
             return None
-        couples = np.concatenate([np.zeros((3, 3)), load_cases(self.mount.motor).T])
-        motion = superposed(np.linalg.solve(K, couples).T)
-        velocity = motion[:, None, :3] + np.cross(motion[:, None, 3:], point)
-        pull = np.einsum("dni,ni->dn", velocity, normal)
-        slide = np.square(velocity).sum(axis=-1) - np.square(pull)
-        stress = np.sqrt(np.square(pull) + 3 * shear**2 * np.maximum(slide, 0.0))
-        volume = CELL * float((CELL * arc) @ coverage(self.depth[z[along], r[along], around], CELL))
-        return float(stress.max()), volume
+        motion = np.linalg.solve(K, _couples(self.mount.motor.peak_torque))  # (6, directions)
+        pull = arm @ motion
+        a, b, c = motion[3:]
+        slide = np.square(motion[0] + np.outer(h, b) - np.outer(y, c))
+        slide += np.square(motion[1] + np.outer(x, c) - np.outer(h, a))
+        slide += np.square(motion[2] + np.outer(y, a) - np.outer(x, b))
+        pull *= pull
+        square = pull + 3 * shear**2 * np.maximum(slide - pull, 0.0)
+        volume = CELL**2 * float(arc @ coverage(depth, CELL))
+        return math.sqrt(float(square.max())), volume
+
+
+@lru_cache(maxsize=8)
+def _couples(peak_torque: float) -> Array:
+    """No force and the couples of all directions as columns, (6, DIRECTIONS)."""
+    return np.concatenate([np.zeros((3, DIRECTIONS)), superposed(load_cases(peak_torque)).T])
 
 
 def safety_factor(stress: float, strength: float) -> float:
@@ -226,6 +245,7 @@ def keepout(mount: Mount, half: Half) -> tuple[float, float, float]:
     return mount.holder_radius + mount.clearance, mount.base_low - mount.clearance, mount.connector_low
 
 
+@lru_cache(maxsize=1)
 def _circle() -> Array:
     """Directions of the cells around the axis, (AZIMUTHS, 2)."""
     angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
