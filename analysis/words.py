@@ -20,6 +20,7 @@ REASONS: dict[str, str] = {
     Reason.TOO_THIN: "A rigid segment is so thin that nothing of it is left to print.",
     Reason.NO_MOTION: "A hinge cannot turn far enough before the bodies beside it touch.",
     Reason.NO_OVERLAP: "A body is too far from its hinge, or too slight there, to hold the motor or its output.",
+    Reason.WEAK_MOUNT: "A body is too slight around its hinge to stand the motor's peak torque.",
     Reason.MOTOR_COLLISION: "A motor would sit inside another motor.",
     Reason.BONE_SEVERED: "Making room for the motor would cut a rigid body in pieces.",
     Reason.NO_ROOM: "No rigid body is large enough inside for the battery or the controller box.",

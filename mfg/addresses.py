@@ -13,5 +13,9 @@ def can_address(seat: int) -> tuple[str, int]:
 
 
 def turn_sign(blueprint: Blueprint, seat: MotorSeat) -> int:
-    """+1 where the motor's output turns the child, -1 where it is the housing that the child carries."""
-    return 1 if seat.connector == blueprint.hinges[seat.hinge].body else -1
+    """+1 where a positive turn of the motor is one of the joint.
+
+    That is so where the output turns the child and points along the axis; either change alone turns it round: the child
+    carries the housing, or the motor points the other way.
+    """
+    return blueprint.pointing(seat) * (1 if seat.connector == blueprint.hinges[seat.hinge].body else -1)

@@ -90,6 +90,8 @@ class MotorSeat:
         holder_volume: V_h, overlap of the holder with its body [m3].
         connector_volume: V_c [m3].
         score: S(delta), in [m3].
+        turn: angle about the axis from the fixed rule of `motor_pose` to the motor frame's x axis [rad].
+        safety: strength over stress of the weaker half of the mount under the peak torque, or None where nobody asked.
     """
 
     hinge: int
@@ -100,6 +102,8 @@ class MotorSeat:
     holder_volume: float
     connector_volume: float
     score: float
+    turn: float = 0.0
+    safety: float | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -221,6 +225,10 @@ class Blueprint:
     def box(self, kind: str) -> BoxSeat:
         """The seat of the battery or the controller."""
         return next(seat for seat in self.boxes if seat.kind == kind)
+
+    def pointing(self, seat: MotorSeat) -> int:
+        """+1 where a motor's output points along its hinge's axis, -1 where it points against it."""
+        return 1 if self.hinges[seat.hinge].axis @ seat.T_design_motor[:3, 2] > 0 else -1
 
     def noted(self, note: str) -> Blueprint:
         """The same blueprint with one more note."""

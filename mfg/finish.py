@@ -60,7 +60,7 @@ class FinishSolver:
         min_skin: least thickness of a skin [m].
         tolerance: surface error allowed when thinning triangles, half the width of a printed line [m].
         max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
-        min_overlap: tau of Eq. 2, applied to the exact volumes [m3].
+        min_overlap: tau of Eq. 2, applied to the exact volumes; less where seats are judged by strength [m3].
         alpha: of Eq. 3, as in the motor solver.
         lids: whether the openings of the electronics boxes get lids with screws, as parts of their own.
         split: cut bodies that are beyond the printer's volume into pieces that fit, with pegs; else they are failures.
@@ -199,10 +199,11 @@ class FinishSolver:
         """What must be free of this body: the motors' ways in, boxes, and what moves against it."""
         room = []
         for seat in blueprint.seats:
+            offset = blueprint.pointing(seat) * seat.offset  # along the motor's own z
             if index == seat.holder:
-                cuts = [connector_keepout(mount), core(mount, seat.offset, self.cut_half_length, way_in=True)]
+                cuts = [connector_keepout(mount), core(mount, offset, self.cut_half_length, way_in=True)]
             elif index == seat.connector:
-                cuts = [holder_keepout(mount), core(mount, seat.offset, self.cut_half_length)]
+                cuts = [holder_keepout(mount), core(mount, offset, self.cut_half_length)]
             else:
                 cuts = [envelope(mount, self.gap)]
             room += [cut.moved(seat.T_design_motor) for cut in cuts]

@@ -50,11 +50,7 @@ class MotorSolver:
             if isinstance(seat, Failure):
                 return seat
             seats.append(seat)
-        seated = replace(blueprint, seats=tuple(seats))
-        return seated.scored(
-            motor=motor_score([seat.score for seat in seats], mount, self.alpha),
-            body_install=body_install_score(body_overlap(seated)),
-        )
+        return with_seats(blueprint, tuple(seats), self.alpha)
 
     def _seat(
         self, blueprint: Blueprint, index: int, hinge: Hinge, mount: Mount, seats: list[MotorSeat]
@@ -121,6 +117,15 @@ class MotorSolver:
         return Rings(mount, edges, radius, width, below)
 
 
+def with_seats(blueprint: Blueprint, seats: tuple[MotorSeat, ...], alpha: float) -> Blueprint:
+    """The blueprint with these seats and the motor and body-installation scores that follow from them."""
+    seated = replace(blueprint, seats=seats)
+    return seated.scored(
+        motor=motor_score([seat.score for seat in seats], mount_of(blueprint.catalogue.motor), alpha),
+        body_install=body_install_score(body_overlap(seated)),
+    )
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Rings:
     """How much of one bone lies in rings about a hinge axis, below every height.
@@ -142,14 +147,21 @@ class Rings:
     width: float
     below: NDArray[np.float64]
 
-    def overlaps(self, offsets: NDArray[np.float64], part: Literal["holder", "connector"]) -> NDArray[np.float64]:
-        """V(delta): volume that one half of the mount shares with the bone, for every offset [m3]."""
+    def overlaps(
+        self, offsets: NDArray[np.float64], part: Literal["holder", "connector"], flipped: bool = False
+    ) -> NDArray[np.float64]:
+        """V(delta): volume that one half of the mount shares with the bone, for every offset [m3].
+
+        Where it is `flipped`, the motor's output points against the hinge axis.
+        """
         m = self.mount
         outer, low, high = (
             (m.holder_radius, m.base_low, m.holder_top)
             if part == "holder"
             else (m.connector_radius, m.connector_low, m.connector_high)
         )
+        if flipped:
+            low, high = -high, -low
         # A ring that the part's rim passes through counts by the share of its area inside the rim.
         inside, edge = self.radius - self.width / 2, np.minimum(self.radius + self.width / 2, outer)
         area = np.pi * np.maximum(edge**2 - inside**2, 0.0)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
+
+from mfg.miss import Miss
 
 
 class Stage(StrEnum):
@@ -26,6 +28,7 @@ class Reason(StrEnum):
     TOO_THIN = "too_thin"
     NO_MOTION = "no_motion"
     NO_OVERLAP = "no_overlap"
+    WEAK_MOUNT = "weak_mount"
     MOTOR_COLLISION = "motor_collision"
     BONE_SEVERED = "bone_severed"
     NO_ROOM = "no_room"
@@ -40,11 +43,19 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A design that cannot be built: a value, never an exception."""
+    """A design that cannot be built: a value, never an exception.
+
+    Attributes:
+        stage: where it failed.
+        reason: why.
+        detail: the closest miss in words, with numbers.
+        miss: the same for programs, where the solver says so; not shown and not compared.
+    """
 
     stage: Stage
     reason: Reason
     detail: str
+    miss: Miss | None = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
         """One line for people."""

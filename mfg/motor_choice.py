@@ -1,0 +1,186 @@
+"""Choose one candidate seat per joint, all joints together, so that no two motors meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.mounts import Mount
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Stuck:
+    """No choice exists, or none was found within the allowed steps.
+
+    Attributes:
+        joint: that had no acceptable candidate left when the search had got furthest.
+        other: the joint whose seat stood in its way, or None where none of its own candidates is acceptable.
+    """
+
+    joint: int
+    other: int | None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Clearance:
+    """What is known about the envelopes of motors at two sets of poses.
+
+    Attributes:
+        distance: clear distance between them, at most the true one; negative where they may meet [m], (n, m).
+        meet: whether they certainly share a point, (n, m).
+    """
+
+    distance: Array
+    meet: Mask
+
+    @staticmethod
+    def of(T: Array, U: Array, mount: Mount) -> Clearance:
+        """Compare motors at poses T (n, 4, 4) with motors at poses U (m, 4, 4).
+
+        The envelopes are taken as plain cylinders. Apart is what casts shadows that are apart on the two axes, on their
+        common normal, or on the lines between their middles and between their nearest axis points; the widest gap is
+        the distance. Together is what holds one of some points on these two lines.
+        """
+        low, high = mount.base_low, mount.connector_high
+        half, radius = (high - low) / 2, mount.envelope_radius
+        z, w = T[:, None, :3, 2], U[None, :, :3, 2]
+        a, b = T[:, None, :3, 3] + (low + high) / 2 * z, U[None, :, :3, 3] + (low + high) / 2 * w
+        between = b - a
+        z, w = z + 0 * between, w + 0 * between
+        cosine, ahead, back = _dot(z, w), _dot(between, z), _dot(between, w)
+        # The nearest points of two segments, by alternating projection: near enough to propose a direction.
+        s = np.zeros(cosine.shape)
+        for _ in range(4):
+            t = np.clip(s * cosine - back, -half, half)
+            s = np.clip(t * cosine + ahead, -half, half)
+        near = s[..., None] * z
+        shortest = between + t[..., None] * w - near
+        distance = np.full(cosine.shape, -np.inf)
+        for way in (z, w, np.cross(z, w), between, shortest):
+            length = np.linalg.norm(way, axis=-1)
+            n = way / np.maximum(length, 1e-12)[..., None]
+            shadows = np.zeros(cosine.shape)
+            for axis in (z, w):
+                c = np.abs(_dot(axis, n))
+                shadows += half * c + radius * np.sqrt(np.maximum(1 - c**2, 0.0))
+            distance = np.where(length > 1e-9, np.maximum(distance, np.abs(_dot(between, n)) - shadows), distance)
+        meet = np.zeros(cosine.shape, bool)
+        slim = min(mount.holder_radius, mount.connector_radius)
+        for share in (0.3, 0.4, 0.5, 0.6, 0.7):
+            for point in (share * between, near + share * shortest):
+                both = np.ones(cosine.shape, bool)
+                for axis, from_it in ((z, point), (w, point - between)):
+                    along = _dot(from_it, axis)
+                    both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along**2 < slim**2)
+                meet |= both
+        return Clearance(distance, meet)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray((a * b).sum(axis=-1), np.float64)
+
+
+def choose(
+    scores: Sequence[Array],
+    possible: Callable[[int, int, int], Mask],
+    clear: Callable[[int, int, int, int], bool],
+    accept: Callable[[int, int], bool],
+    steps: int,
+) -> list[int] | Stuck:
+    """The candidates, one per joint, with the greatest sum of scores among those that get along (branch and bound).
+
+    The optimum if no more than `steps` candidates are tried on the way, else the best choice found until then.
+
+    Args:
+        scores: of every joint's candidates, best first, (k,) each.
+        possible: False for those candidates of joint j that certainly meet candidate a of joint i: (i, a, j), i < j.
+        clear: whether candidate a of joint i and b of joint j keep apart: (i, a, j, b), i < j; asked for the rest only.
+        accept: whether a candidate is good by itself: (joint, candidate); asked for whole choices only.
+        steps: most candidates to try.
+    """
+    search = _Search(list(scores), possible, clear, accept, steps)
+    search.descend([], [np.ones(len(s), bool) for s in scores])
+    if search.best is not None:
+        return search.best
+    hopeless = [i for i, s in enumerate(scores) if (~search.open[i]).sum() == len(s)]
+    return Stuck(hopeless[0], None) if hopeless else search.stuck
+
+
+class _Search:
+    """The state of one branch and bound; joints in their own order, so that parents come before children."""
+
+    def __init__(
+        self,
+        scores: list[Array],
+        possible: Callable[[int, int, int], Mask],
+        clear: Callable[[int, int, int, int], bool],
+        accept: Callable[[int, int], bool],
+        steps: int,
+    ) -> None:
+        self.scores, self.steps = scores, steps
+        self._possible, self._accept = possible, cache(accept)
+        self._clear = cache(clear)
+        self.open = [np.ones(len(s), bool) for s in scores]  # False once refused
+        self.best: list[int] | None = None
+        self.total = -np.inf
+        self.stuck = Stuck(0, None)
+        self.deepest = -1
+
+    def accepted(self, joint: int, a: int) -> bool:
+        """Whether a candidate is good by itself; once refused it is never tried again."""
+        self.open[joint][a] = self._accept(joint, a)
+        return bool(self.open[joint][a])
+
+    def descend(self, chosen: list[int], left: list[Mask]) -> None:
+        """Try every candidate of the next joint that those chosen leave over."""
+        joint = len(chosen)
+        if joint == len(self.scores):
+            if all(self.accepted(i, a) for i, a in enumerate(chosen)):
+                self.best, self.total = list(chosen), self.sum(chosen)
+            return
+        before = self.sum(chosen)
+        found = False
+        for a in np.flatnonzero(left[joint]).tolist():
+            after = sum(self.top(i, left[i]) for i in range(joint + 1, len(self.scores)))
+            if before + float(self.scores[joint][a]) + after <= self.total or self.steps <= 0:
+                break
+            if not all(self.open[i][b] for i, b in enumerate(chosen)):
+                return
+            if not self.open[joint][a]:
+                continue
+            self.steps -= 1
+            if not all(self._clear(i, b, joint, a) for i, b in enumerate(chosen)):
+                continue
+            found = True
+            later = range(joint + 1, len(self.scores))
+            narrowed = [m & self._possible(joint, a, i) if i in later else m for i, m in enumerate(left)]
+            dead = next((i for i in later if not (narrowed[i] & self.open[i]).any()), None)
+            if dead is None:
+                self.descend([*chosen, a], narrowed)
+            elif joint > self.deepest:
+                self.deepest, self.stuck = joint, Stuck(dead, joint)
+        if not found and self.best is None and joint > self.deepest:
+            self.deepest, self.stuck = joint, Stuck(joint, self.blocker(chosen))
+
+    def sum(self, chosen: list[int]) -> float:
+        """Sum of the scores of the joints that have a candidate."""
+        return float(sum(s[a] for s, a in zip(self.scores, chosen, strict=False)))
+
+    def top(self, joint: int, left: Mask) -> float:
+        """The greatest score that a joint can still have."""
+        some = left & self.open[joint]
+        first = int(some.argmax())
+        return float(self.scores[joint][first]) if some[first] else -np.inf
+
+    def blocker(self, chosen: list[int]) -> int | None:
+        """The joint whose candidate rules most of the next joint's candidates out."""
+        joint = len(chosen)
+        ruled_out = [int((~self._possible(i, a, joint)).sum()) for i, a in enumerate(chosen)]
+        return int(np.argmax(ruled_out)) if ruled_out else None

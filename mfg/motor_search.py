@@ -1,0 +1,238 @@
+"""Solver: motors where their mounts are strong enough, searched for all joints together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.blueprint import Blueprint, Body, MotorSeat
+from mfg.bones import cut_cylinder, largest_piece
+from mfg.exact import ACCESS, LIFT
+from mfg.fields import Field
+from mfg.miss import Miss
+from mfg.motor_candidates import Candidates
+from mfg.motor_choice import Clearance, Stuck, choose
+from mfg.motors import MotorSolver, envelopes_meet, with_seats
+from mfg.mounts import Mount, mount_of
+from mfg.outcome import Failure, Reason, Stage
+from mfg.strength import BENDING_SHARE, LAYER_STRENGTH, Half, Plastic
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+FUSED = 5.0e-7  # what the exact solids of a mount and its bone must share to be one part: a cube of 8 mm [m3]
+
+
+@dataclass(frozen=True)
+class SearchMotorSolver:
+    """Seat all motors at once where their mounts stand the peak torque, by the paper's score S(delta).
+
+    Every joint has candidates over a wide range of offsets, both assignments of holder and connector and both ways for
+    the output to point. Among the combinations in which no two motors meet and every mount reaches the safety factor
+    (see `mfg.strength`), the one with the greatest sum of S wins. Each motor is then turned about its axis so that its
+    cable leaves where the holder's bone is thickest (by the motor frame's x axis; the mount's screws repeat all around
+    and need no bone).
+
+    Attributes:
+        min_safety: least strength over stress of both halves of a mount under the peak torque, in place of tau.
+        min_overlap: least sampled volume that each half shares with its bone, twice what fuses the solids [m3].
+        strength: of the printed plastic [Pa].
+        alpha: weight of the total volume against the balanced one in g(delta).
+        scan: offsets reach from -scan to +scan along the axis [m].
+        step: between offsets [m].
+        slice: height of a slice of the sampled rings [m].
+        spread: a seat stands for those of its kind that are nearer than this, where that is enough [m].
+        gap: least distance between the envelopes of two motors [m].
+        candidates: most of the seats of one joint that stand for others.
+        steps: most seats tried in the joint search.
+        cut_half_length: half length of the bone processor's cylinder about a joint [m].
+        max_loss: largest share of a bone that the longer cylinder of a far offset may cut off.
+    """
+
+    min_safety: float = 2.0
+    min_overlap: float = 2 * FUSED
+    strength: float = LAYER_STRENGTH
+    alpha: float = MotorSolver.alpha
+    scan: float = 0.080
+    step: float = 2.0e-3
+    slice: float = 4.0e-3
+    spread: float = 6.0e-3
+    gap: float = MotorSolver.gap
+    candidates: int = 48
+    steps: int = 6000
+    cut_half_length: float = 0.080
+    max_loss: float = 0.10
+
+    def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
+        """Return the blueprint with `seats`, their bones cut for far offsets, and scores; or a motor failure."""
+        catalogue = blueprint.catalogue
+        plastic = Plastic.of(catalogue.rigid, catalogue.printer, self.strength)
+        scan = MotorSolver(self.min_overlap, self.alpha, self.scan, self.slice)
+        joints = []
+        for index in range(len(blueprint.hinges)):
+            joint = Candidates.of(blueprint, index, scan, self.step, self.spread, self.candidates, plastic)
+            if not joint.seats:
+                return self._too_far(blueprint, joint)
+            joints.append(joint)
+        # A few seats for each joint first: nearly always enough, and much faster than all of them.
+        answer = self._choice(blueprint, joints, [joint.few for joint in joints])
+        if isinstance(answer, Failure):
+            answer = self._choice(blueprint, joints, [list(range(len(joint.seats))) for joint in joints])
+        if isinstance(answer, Failure):
+            return answer
+        mount = mount_of(catalogue.motor)
+        seats = tuple(joint.turned(k) for joint, k in zip(joints, answer, strict=True))
+        whole = list(blueprint.bodies)
+        for seat in seats:
+            for index in (seat.holder, seat.connector):
+                cut = self._cut(whole[index], blueprint, seat, index, mount)
+                whole[index] = cut or whole[index]  # Two cuts that pass alone may sever together: finish will tell.
+        return with_seats(replace(blueprint, bodies=tuple(whole)), seats, self.alpha)
+
+    def _choice(
+        self, blueprint: Blueprint, joints: list[Candidates], open_seats: list[list[int]]
+    ) -> list[int] | Failure:
+        """The best combination of some of the joints' seats, or why there is none."""
+        mount = mount_of(blueprint.catalogue.motor)
+        seats = [[joint.seats[k] for k in some] for joint, some in zip(joints, open_seats, strict=True)]
+        reach = 2 * (self.scan + math.hypot(mount.connector_high, mount.envelope_radius))
+        clearance = clearances([joint.hinge.position for joint in joints], seats, mount, reach)
+
+        def possible(i: int, a: int, j: int) -> Mask:
+            return ~clearance[i, j].meet[a] if (i, j) in clearance else np.ones(len(seats[j]), bool)
+
+        def clear(i: int, a: int, j: int, b: int) -> bool:
+            if (i, j) not in clearance or clearance[i, j].distance[a, b] >= self.gap:
+                return True
+            return not envelopes_meet(seats[i][a].T_design_motor, seats[j][b].T_design_motor, mount, self.gap)
+
+        def accept(i: int, a: int) -> bool:
+            if joints[i].safety(open_seats[i][a], self.min_safety) < self.min_safety:
+                return False
+            seat = seats[i][a]
+            return all(self._cut(blueprint.bodies[b], blueprint, seat, b, mount) for b in (seat.holder, seat.connector))
+
+        answer = choose([np.array([s.score for s in some]) for some in seats], possible, clear, accept, self.steps)
+        if isinstance(answer, Stuck):
+            return self._stuck(blueprint, joints, clearance, answer)
+        return [some[k] for some, k in zip(open_seats, answer, strict=True)]
+
+    def _cut(self, body: Body, blueprint: Blueprint, seat: MotorSeat, index: int, mount: Mount) -> Body | None:
+        """The body with the way to the motor and to its screws cut as far as it leads, or None where that severs it.
+
+        The bone processor cut what a motor near the joint needs; a motor at a far offset needs the rest of its way.
+        """
+        low, high = mount.base_low - ACCESS, mount.connector_high + ACCESS
+        if index == seat.holder:
+            high = max(high, mount.holder_top + mount.motor.length + LIFT)
+        hinge, pointing = blueprint.hinges[seat.hinge], blueprint.pointing(seat)
+        low, high = sorted((seat.offset + pointing * low, seat.offset + pointing * high))
+        bone = body.bone
+        for start, end in ((low, -self.cut_half_length), (self.cut_half_length, high)):
+            if end <= start or not _fills(bone, hinge.position, hinge.axis, mount.attach_radius, start, end):
+                continue
+            middle = hinge.position + (start + end) / 2 * hinge.axis
+            bone = cut_cylinder(bone, middle, hinge.axis, mount.attach_radius, (end - start) / 2)
+        if bone is body.bone:
+            return body
+        kept, lost = largest_piece(bone)
+        return None if lost > self.max_loss else replace(body, bone=kept)
+
+    def _too_far(self, blueprint: Blueprint, joint: Candidates) -> Failure:
+        """No offset at which both halves would even fuse with their bones."""
+        seat = joint.nearest
+        half: Half = "holder" if seat.holder_volume <= seat.connector_volume else "connector"
+        body = seat.holder if half == "holder" else seat.connector
+        short = self.min_overlap - min(seat.holder_volume, seat.connector_volume)
+        away = joint.distance(seat, half)
+        name, segment = blueprint.bodies[body].name, blueprint.bodies[body].segment
+        voxels = max(1, math.ceil(away / blueprint.design.pitch))
+        return Failure(
+            Stage.MOTOR,
+            Reason.NO_OVERLAP,
+            f"{joint.hinge.name}: the best offset, {1e3 * seat.offset:+.0f} mm, shares {1e6 * seat.holder_volume:.1f} "
+            f"cm3 with the holder's {blueprint.bodies[seat.holder].name} and {1e6 * seat.connector_volume:.1f} cm3 with "
+            f"the connector's {blueprint.bodies[seat.connector].name}, each needs {1e6 * self.min_overlap:.1f} cm3; "
+            f"{name} lacks material{f' by {1e3 * away:.0f} mm' if away > 0 else ''}: "
+            f"grow segment {segment} by {_voxels(voxels)} near the joint",
+            Miss(Stage.MOTOR, joint.index, body, segment, short_volume=short, short_length=away,
+                 remedy="grow_near_joint"),
+        )  # fmt: skip
+
+    def _stuck(
+        self, blueprint: Blueprint, joints: list[Candidates], clearance: dict[tuple[int, int], Clearance], stuck: Stuck
+    ) -> Failure:
+        joint = joints[stuck.joint]
+        strong = [k for k, (safety, _) in joint.known.items() if safety >= self.min_safety]
+        if stuck.other is None and not strong:
+            return self._too_weak(blueprint, joint)
+        if stuck.other is None:
+            return Failure(
+                Stage.MOTOR,
+                Reason.BONE_SEVERED,
+                f"{joint.hinge.name}: wherever its mount is strong enough, the way to the motor cuts more than "
+                f"{100 * self.max_loss:.0f} % off a body; grow both segments by 1 voxel near the joint",
+                Miss(Stage.MOTOR, joint.index, remedy="grow_near_joint"),
+            )
+        other = joints[stuck.other]
+        i, j = sorted((stuck.joint, stuck.other))
+        short = self.gap - float(clearance[i, j].distance.max()) if (i, j) in clearance else 0.0
+        need = max(short, 0.0)
+        far = f"by {1e3 * need:.0f} mm or more" if need > 0 else "together with the other motors"
+        return Failure(
+            Stage.MOTOR,
+            Reason.MOTOR_COLLISION,
+            f"{joint.hinge.name} and {other.hinge.name}: wherever their mounts are strong enough their motors come too "
+            f"near to each other {far}; move the two joints apart by {1e3 * max(need, blueprint.design.pitch):.0f} mm",
+            Miss(Stage.MOTOR, joint.index, short_length=need, remedy="move_joints_apart", other=other.index),
+        )
+
+    def _too_weak(self, blueprint: Blueprint, joint: Candidates) -> Failure:
+        """Mounts that fuse, but would break."""
+        k = max(joint.known, key=lambda at: (joint.known[at][0], -at))
+        seat = joint.seats[k]
+        safety, body = joint.weaker(seat)
+        torque = blueprint.catalogue.motor.peak_torque
+        name, segment = blueprint.bodies[body].name, blueprint.bodies[body].segment
+        voxels = 1 if safety >= self.min_safety / 2 else 2
+        return Failure(
+            Stage.MOTOR,
+            Reason.WEAK_MOUNT,
+            f"{joint.hinge.name}: the strongest mount, at {1e3 * seat.offset:+.0f} mm with "
+            f"{1e6 * seat.holder_volume:.1f} and {1e6 * seat.connector_volume:.1f} cm3 shared, has safety factor "
+            f"{safety:.2f} under {torque:.1f} N.m and {BENDING_SHARE * torque:.1f} N.m across, needs "
+            f"{self.min_safety:.2f}; {name} is the weak side: thicken segment {segment} by {_voxels(voxels)} near the "
+            "joint",
+            Miss(Stage.MOTOR, joint.index, body, segment, short_factor=1 - safety / self.min_safety,
+                 short_length=voxels * blueprint.design.pitch, remedy="thicken_near_joint"),
+        )  # fmt: skip
+
+
+def clearances(
+    places: list[Array], seats: list[list[MotorSeat]], mount: Mount, reach: float
+) -> dict[tuple[int, int], Clearance]:
+    """How all seats of each two joints i < j stand to each other where the joints are less than `reach` apart [m]."""
+    poses = [np.array([seat.T_design_motor for seat in some]) for some in seats]
+    return {
+        (i, j): Clearance.of(poses[i], poses[j], mount)
+        for j in range(len(seats))
+        for i in range(j)
+        if np.linalg.norm(places[i] - places[j]) < reach
+    }
+
+
+def _fills(bone: Field, position: Array, axis: Array, radius: float, low: float, high: float) -> bool:
+    """Whether any of a bone lies in a cylinder about an axis."""
+    window = bone.window(position + (low + high) / 2 * axis, float(np.hypot(radius, (high - low) / 2)))
+    if window is None:
+        return False
+    x, y, z = (a - np.float32(c) for a, c in zip(bone.axes(window), position, strict=True))
+    along = x * np.float32(axis[0]) + y * np.float32(axis[1]) + z * np.float32(axis[2])
+    inside = (along > low) & (along < high) & (x * x + y * y + z * z - along * along < radius**2)
+    return bool((bone.values[window][inside] > 0).any())
+
+
+def _voxels(count: int) -> str:
+    return f"{count} voxel{'s' if count > 1 else ''}"

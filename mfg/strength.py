@@ -1,0 +1,269 @@
+"""Will a motor's mount hold the motor's peak torque? Loads, printed plastic, and a fast estimate by sections.
+
+The load of both halves of a mount is the peak torque about the axis and, at the same time, a couple across it in the
+worst direction. The estimate cuts the bone around the mount by ever larger cans, treats what each cuts as a rigid
+section on an elastic bed (in a straight limb: the beam formulas M c / I, T r / J and their sum), and takes the worst
+cut. `mfg.mount_elasticity` computes the same with finite elements; `NOTCH` covers what sections cannot see.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfg.catalogue import Filament, Printer
+from mfg.fields import Field, coverage
+from mfg.mounts import Mount, motor_pose
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+Half = Literal["holder", "connector"]
+
+# Tensile strength of printed PLA across its layers, its weakest way [Pa]: 22.8 MPa on average, with a stiffness of
+# 2.4 GPa (3D Printing and Additive Manufacturing, doi 10.1089/3dp.2020.0109). Taken for every direction, because a
+# mount is loaded in all of them and its way up on the printer is chosen later.
+LAYER_STRENGTH = 22.8e6
+POISSON = 0.35  # of PLA (assumed), typical of glassy polymers
+# Young's modulus of infill over that of its plastic is its share squared (the law of open cells, Gibson & Ashby, Cellular
+# Solids, ch. 5; gyroid PLA lattices measured between 1 % and 12 % of the bulk agree in size). (assumed)
+INFILL_POWER = 2.0
+# Couple across the axis over the peak torque (assumed): the force that makes the peak torque at the end of a limb acts
+# beside the plane in which the joint turns, by a quarter of its lever arm (50 mm beside a limb of 0.2 m).
+BENDING_SHARE = 0.25
+DIRECTIONS = 8  # of that couple, all around
+
+CELL = 5.0e-3  # edge of a cell of the sampled bone, along and across [m]
+AZIMUTHS = 48  # cells around
+LAYERS = 8  # cans beyond the mount's own rim, `CELL` apart: what lies 40 mm away counts as the body
+SEEN = 0.25  # least filled share of a cell whose stress counts
+BODY_SHARE = 0.5  # of a bone that lies within the sections; the rest is the body that holds them
+NOTCH = 1.0  # stress at notches and corners over that of sections
+
+
+@dataclass(frozen=True, slots=True)
+class Plastic:
+    """A printed material as its walls and infill make it.
+
+    Attributes:
+        modulus: of the plastic [Pa].
+        strength: von Mises stress at which a printed part breaks [Pa].
+        wall: thickness of the walls [m].
+        infill: modulus of the infill over that of the plastic.
+    """
+
+    modulus: float
+    strength: float
+    wall: float
+    infill: float
+
+    @staticmethod
+    def of(filament: Filament, printer: Printer, strength: float = LAYER_STRENGTH) -> Plastic:
+        """The plastic of a filament as this printer lays it down."""
+        return Plastic(
+            filament.youngs_modulus, strength, filament.walls * printer.line_width, filament.infill**INFILL_POWER
+        )
+
+    def stiffness(self, depth: NDArray[np.float32], width: float) -> Array:
+        """Effective modulus over that of the plastic, of cells of this width by the depth at their middle [m].
+
+        Walls of the stated thickness along the surface, infill inside of them, nothing outside.
+        """
+        filled = coverage(depth, width).astype(np.float64)
+        inner = coverage(depth - np.float32(self.wall), width).astype(np.float64)
+        return filled - (1 - self.infill) * inner
+
+
+def load_cases(peak_torque: float) -> Array:
+    """Couples on the mount in its frame [N.m], (3, 3): the peak torque about z, the bending share about x and y."""
+    return peak_torque * np.diag([BENDING_SHARE, BENDING_SHARE, 1.0])[[2, 0, 1]]
+
+
+def superposed(response: Array) -> Array:
+    """Responses (3, ...) to the three load cases, combined for every direction of bending, (DIRECTIONS, ...)."""
+    angle = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+    mix = np.stack([np.ones(DIRECTIONS), np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(np.tensordot(mix, response, axes=1), np.float64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sections:
+    """One bone sampled about a hinge axis, as far as any offset and any section of it reach.
+
+    Frame: the motor's at offset 0, z along the hinge axis.
+
+    Attributes:
+        mount: the mount.
+        plastic: what the bone is printed of.
+        depth: of the bone at the middle of every cell [m], (height, radius, angle).
+        low: lower edge of the first layer of cells [m].
+        volume: of the whole bone [m3].
+    """
+
+    mount: Mount
+    plastic: Plastic
+    depth: NDArray[np.float32]
+    low: float
+    volume: float
+
+    @staticmethod
+    def sample(bone: Field, position: Array, axis: Array, mount: Mount, plastic: Plastic, reach: float) -> Sections:
+        """Sample a bone about a hinge for offsets from -reach to +reach along its axis [m]."""
+        tall = reach + max(-mount.base_low, mount.connector_high) + (LAYERS + 1) * CELL
+        half = int(np.ceil(tall / CELL))
+        rings = round((mount.connector_radius - mount.attach_radius) / CELL) + LAYERS
+        height = (np.arange(2 * half) + 0.5 - half) * CELL
+        radius = mount.attach_radius + (np.arange(rings) + 0.5) * CELL
+        T = motor_pose(position, axis, 0.0)
+        circle = _circle() @ T[:3, :2].T
+        points = (position + height[:, None] * axis)[:, None, None] + radius[:, None, None] * circle
+        return Sections(mount, plastic, bone.sample(points), -half * CELL, bone.volume())
+
+    def safety(self, offset: float, half: Half, flipped: bool = False, least: float = 0.0) -> float:
+        """Strength over the greatest stress in any section around one half of the mount; 0 where nothing holds it.
+
+        Args:
+            offset: of the motor along the hinge axis [m].
+            half: which half of the mount this bone carries.
+            flipped: whether the motor's output points against the hinge axis.
+            least: factor that matters; of a mount below it, only that it is below is found out.
+        """
+        most = self.plastic.strength / least if least > 0 else np.inf
+        return safety_factor(self.stress(offset, half, flipped, most), self.plastic.strength)
+
+    def stress(self, offset: float, half: Half, flipped: bool = False, most: float = np.inf) -> float:
+        """The greatest stress in any section, notches included [Pa]; infinite where the bone has no hold.
+
+        Sections beyond the first one with more than `most` are not looked at.
+        """
+        outer, low, high = span(self.mount, half)
+        first, last = self._layers(offset, low, high, flipped)
+        a, b, m = first - 1, last, round((outer - self.mount.attach_radius) / CELL)
+        room = self._room(offset, half, flipped)
+        reached = np.zeros_like(room)
+        held, worst = 0.0, 0.0
+        for k in range(LAYERS):
+            if a < 0 or b >= len(room) or m >= room.shape[1]:
+                break
+            # Along a meridian of the can: out on its lower face, up its side, back on its upper face.
+            z = np.concatenate([np.full(m, a), np.arange(a, b + 1), np.full(m, b)])
+            r = np.concatenate([np.arange(m), np.full(b - a + 1, m), np.arange(m)[::-1]])
+            filled = room[z, r]
+            if k:
+                filled = _reached(filled, reached[z.clip(a + 1, b - 1), np.minimum(r, m - 1)])
+            reached[z, r] = filled
+            found = self._cut(z, r, filled, m)
+            if found is None:
+                return np.inf
+            stress, volume = found
+            worst, held = max(worst, stress), held + volume
+            if held > BODY_SHARE * self.volume or NOTCH * worst > most:
+                break
+            a, b, m = a - 1, b + 1, m + 1
+        return NOTCH * worst
+
+    def _layers(self, offset: float, low: float, high: float, flipped: bool) -> tuple[int, int]:
+        """The first layer of cells inside of two heights of the motor frame, and the first one beyond."""
+        low, high = (offset - high, offset - low) if flipped else (offset + low, offset + high)
+        return round((low - self.low) / CELL), round((high - self.low) / CELL)
+
+    def _room(self, offset: float, half: Half, flipped: bool) -> Mask:
+        """The cells that count and that the other half of the mount leaves to the bone."""
+        outer, low, high = keepout(self.mount, half)
+        first, last = self._layers(offset, low, high, flipped)
+        room = self.depth > (SEEN - 0.5) * CELL
+        room[max(first, 0) : max(last, 0), : int(np.ceil((outer - self.mount.attach_radius) / CELL - 1e-9))] = False
+        return room
+
+    def _cut(self, z: Index, r: Index, filled: Mask, m: int) -> tuple[float, float] | None:
+        """The greatest stress in one section, and the volume of its cells [m3]; None where it cannot carry a couple."""
+        along, around = np.nonzero(filled)
+        if len(along) < 4:
+            return None
+        z, r = z[along], r[along]
+        radius = self.mount.attach_radius + (r + 0.5) * CELL
+        circle = _circle()[around]
+        side = (r == m).astype(np.float64)
+        normal = np.column_stack([circle * side[:, None], 1.0 - side])
+        depth = self.depth[z, r, around]
+        arc = radius * (2 * np.pi / AZIMUTHS)
+        weight = CELL * arc * self.plastic.stiffness(depth, CELL)
+        point = np.column_stack([radius[:, None] * circle, self.low + (z + 0.5) * CELL])
+        # The middle of the section as the origin: a couple has no place of its own, and the sums stay well scaled.
+        point -= weight @ point / weight.sum()
+        (x, y, h), (u, v, w) = point.T, normal.T
+        arm = np.column_stack([normal, y * w - h * v, h * u - x * w, x * v - y * u])
+        shear = 0.5 / (1 + POISSON)
+        K = (1 - shear) * (arm.T * weight) @ arm
+        spread = (point.T * weight) @ point
+        K[:3, :3] += shear * weight.sum() * np.eye(3)
+        K[3:, 3:] += shear * (np.trace(spread) * np.eye(3) - spread)
+        # In cells instead of metres, one bound serves both halves of the matrix: a section in one line turns freely.
+        scale = np.repeat([1.0, 1.0 / CELL], 3)
+        scaled = K * np.outer(scale, scale)
+        if np.linalg.eigvalsh(scaled)[0] < 1e-9 * np.trace(scaled):
+            return None
+        motion = np.linalg.solve(K, _couples(self.mount.motor.peak_torque))  # (6, directions)
+        pull = arm @ motion
+        a, b, c = motion[3:]
+        slide = np.square(motion[0] + np.outer(h, b) - np.outer(y, c))
+        slide += np.square(motion[1] + np.outer(x, c) - np.outer(h, a))
+        slide += np.square(motion[2] + np.outer(y, a) - np.outer(x, b))
+        pull *= pull
+        square = pull + 3 * shear**2 * np.maximum(slide - pull, 0.0)
+        volume = CELL**2 * float(arc @ coverage(depth, CELL))
+        return math.sqrt(float(square.max())), volume
+
+
+@lru_cache(maxsize=8)
+def _couples(peak_torque: float) -> Array:
+    """No force and the couples of all directions as columns, (6, DIRECTIONS)."""
+    return np.concatenate([np.zeros((3, DIRECTIONS)), superposed(load_cases(peak_torque)).T])
+
+
+def safety_factor(stress: float, strength: float) -> float:
+    """Strength over stress; 0 where the stress has no bound."""
+    return strength / max(stress, 1.0) if np.isfinite(stress) else 0.0
+
+
+def span(mount: Mount, half: Half) -> tuple[float, float, float]:
+    """Radius, lower and upper end of one half of a mount [m], motor frame."""
+    if half == "holder":
+        return mount.holder_radius, mount.base_low, mount.holder_top
+    return mount.connector_radius, mount.connector_low, mount.connector_high
+
+
+def keepout(mount: Mount, half: Half) -> tuple[float, float, float]:
+    """The cylinder that the body with this half leaves to the other one: radius, lower and upper end [m]."""
+    if half == "holder":
+        return mount.connector_radius + mount.clearance, mount.holder_top, mount.connector_high + mount.clearance
+    return mount.holder_radius + mount.clearance, mount.base_low - mount.clearance, mount.connector_low
+
+
+@lru_cache(maxsize=1)
+def _circle() -> Array:
+    """Directions of the cells around the axis, (AZIMUTHS, 2)."""
+    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _reached(filled: Mask, inner: Mask) -> Mask:
+    """The cells of a can that hang on the cells of the can within, directly or over two cells of their own."""
+    found = filled & _spread(inner)
+    for _ in range(2):
+        found = filled & _spread(found)
+    return found
+
+
+def _spread(cells: Mask) -> Mask:
+    """Cells and their neighbours along the meridian and around."""
+    wide = cells | np.roll(cells, 1, axis=1) | np.roll(cells, -1, axis=1)
+    out = wide.copy()
+    out[1:] |= wide[:-1]
+    out[:-1] |= wide[1:]
+    return out
