@@ -257,7 +257,7 @@ def _guarded(task: str) -> tuple[str, ...]:
     """What a real robot's guards will not let a policy do."""
     if task != "recover":
         return ()
-    return ("a robot that gets up turns far from how it lay, which the tilt guard takes for a fall: this policy runs in "
+    return ("a robot that gets up turns far from how it lay, which its tilt guard takes for a fall: this policy is for "
             "simulation only",)  # fmt: skip
 
 

@@ -9,6 +9,7 @@ says little about a walk that is nearly the same.
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,9 +115,15 @@ def _spec(folder: Path, condition: Condition) -> MjSpec:
         from mfg.description import FULL_HULL, describe
         from mfg.pipeline import build
 
-        outcome = build(read_design(folder / "blueprint" / "design.npz"), catalogue_of("paper"))
+        outcome = build(read_design(_blueprint(folder) / "design.npz"), catalogue_of("paper"))
         return make_spec(describe(outcome.blueprint, hull_vertices=FULL_HULL), fidelity=level)
     return load_spec(folder / "robot.xml", fidelity=level, timestep=condition.timestep)
+
+
+def _blueprint(folder: Path) -> Path:
+    """Of the robot that a policy was trained on: beside the policy where it was made for it, else where it lay."""
+    own = folder / "blueprint"
+    return own if own.is_dir() else Path(json.loads((folder / "result.json").read_text("utf-8"))["robot"])
 
 
 def table(results: dict[str, dict[str, list[float]]]) -> str:
