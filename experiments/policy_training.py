@@ -83,6 +83,8 @@ def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
     from mfg.manifest import read_description
 
     if path.suffix.lower() == ".xml":
+        if path.name != "robot.xml" or not path.is_file():
+            raise BadInput(f"{path} is not the robot.xml of a blueprint folder; give that folder, or a design")
         path = path.parent
     if not path.is_dir():
         from experiments.build import catalogue_of, read_design

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import DONE, BadInput, make_folder, progress
+from experiments.output import BAD_INPUT, DONE, make_folder, progress, say
 from experiments.run_folder import cores, write_json
 
 if TYPE_CHECKING:
@@ -116,7 +116,10 @@ def _spec(folder: Path, condition: Condition) -> MjSpec:
         from mfg.pipeline import build
 
         outcome = build(read_design(_blueprint(folder) / "design.npz"), catalogue_of("paper"))
-        return make_spec(describe(outcome.blueprint, hull_vertices=FULL_HULL), fidelity=level)
+        spec = make_spec(describe(outcome.blueprint, hull_vertices=FULL_HULL), fidelity=level)
+        for mesh in spec.meshes:
+            mesh.maxhullvert = -1  # no limit
+        return spec
     return load_spec(folder / "robot.xml", fidelity=level, timestep=condition.timestep)
 
 
@@ -149,7 +152,11 @@ def main() -> int:
     args = parser.parse_args()
     for folder in args.folders:
         if not (folder / "bundle.json").exists():
-            raise BadInput(f"{folder} has no bundle.json; give folders that `bodyplan train` left")
+            say(f"{folder} has no bundle.json; give folders that `bodyplan train` left")
+            return BAD_INPUT
+        if not (_blueprint(folder) / "design.npz").exists():
+            say(f"{folder}: the blueprint it was trained on is no longer at {_blueprint(folder)}")
+            return BAD_INPUT
     make_folder(args.out)
     work = [(folder, condition) for folder in args.folders for condition in conditions()]
     results: dict[str, dict[str, list[float]]] = {folder.name: {} for folder in args.folders}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.output import DONE, INFEASIBLE, INTERRUPTED, emit, make_folder, say, seed
-from experiments.run_folder import cores, locked, terminable, worker_count
+from experiments.run_folder import CHECKPOINT, cores, locked, terminable, worker_count
 
 if TYPE_CHECKING:
     from experiments.policy_config import Policy
@@ -97,7 +97,7 @@ def run_training(
         BadInput: if the folder holds another training, or one and `resume` is not set, or the robot is unusable.
         OSError: if something cannot be read or written.
     """
-    from experiments.policy_training import Impossible, train
+    from experiments.policy_training import STATE, Impossible, train
 
     make_folder(folder)
     count = max(1, cores() if workers is None else workers)
@@ -105,7 +105,8 @@ def run_training(
         with terminable(), locked(folder):
             result = train(config, folder, resume, count)
     except KeyboardInterrupt:
-        say(f"\nbodyplan: interrupted; the last chunk is kept. Go on with: {again}")
+        kept = "the last chunk is kept" if (folder / CHECKPOINT / STATE).exists() else "nothing was learned yet"
+        say(f"\nbodyplan: interrupted; {kept}. Go on with: {again}")
         return INTERRUPTED
     except Impossible as error:
         say(f"bodyplan: {error}")

@@ -189,8 +189,8 @@ class FinishSolver:
         # A film thinner than the tolerance would be thinned to nothing, which is no solid.
         if not (soft.values > 0).any() or volume_moments(*surface(soft)).mass < self.min_piece:
             return parts, notes
-        # By the finished bone, not by what it was made of: the kernel tidies seams, and a film of both would remain.
-        skin = (from_field(soft, self.tolerance) - room).minus(tunnels) - pieces[0]
+        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice.
+        skin = (from_field(soft, self.tolerance) - bone - (room + mounts)).minus(tunnels)
         kept = [piece for piece in skin.components() if piece.volume >= self.min_piece]
         parts += [PrintedPart(f"{body.name}_skin_{k}", index, "soft", piece) for k, piece in enumerate(kept, start=1)]
         return parts, notes

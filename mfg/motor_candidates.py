@@ -143,7 +143,7 @@ class Candidates:
 def _few(seats: list[MotorSeat], hinge: Hinge, spread: float, most: int) -> list[int]:
     """The best seats of every kind that are at least `spread` apart [m], at most so many in all."""
     kept: dict[tuple[int, bool], list[float]] = {}
-    few = []
+    few: list[int] = []
     for k, seat in enumerate(seats):
         kind = seat.holder, bool(seat.T_design_motor[:3, 2] @ hinge.axis > 0)
         others = kept.setdefault(kind, [])

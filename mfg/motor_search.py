@@ -152,9 +152,10 @@ class SearchMotorSolver:
         return Failure(
             Stage.MOTOR,
             Reason.NO_OVERLAP,
-            f"{joint.hinge.name}: the best offset, {1e3 * seat.offset:+.0f} mm, shares {1e6 * seat.holder_volume:.1f} "
-            f"cm3 with the holder's {blueprint.bodies[seat.holder].name} and {1e6 * seat.connector_volume:.1f} cm3 with "
-            f"the connector's {blueprint.bodies[seat.connector].name}, each needs {1e6 * self.min_overlap:.1f} cm3; "
+            f"{joint.hinge.name}: the best offset, {1e3 * seat.offset:+.0f} mm, shares "
+            f"{1e6 * seat.holder_volume:.1f} cm3 with the holder's {blueprint.bodies[seat.holder].name} and "
+            f"{1e6 * seat.connector_volume:.1f} cm3 with the connector's {blueprint.bodies[seat.connector].name}, "
+            f"each needs {1e6 * self.min_overlap:.1f} cm3; "
             f"{name} lacks material{f' by {1e3 * away:.0f} mm' if away > 0 else ''}: "
             f"grow segment {segment} by {_voxels(voxels)} near the joint",
             Miss(Stage.MOTOR, joint.index, body, segment, short_volume=short, short_length=away,

@@ -16,6 +16,7 @@ from mfg.electronics_search import SearchElectronicsSolver
 from mfg.finish import FinishSolver
 from mfg.motion import MotionSolver
 from mfg.motion_search import SearchMotionSolver
+from mfg.motor_search import FUSED, SearchMotorSolver
 from mfg.motors import MotorSolver
 from mfg.outcome import Failure, Scores
 from mfg.parts import PAPER
@@ -49,11 +50,11 @@ BUILDING: tuple[Solver, ...] = (*SCORING, FinishSolver())
 SEARCHING: tuple[Solver, ...] = (
     *BODIES,
     SearchMotionSolver(touch=0.06),  # as much as the paper's rule lets bones share: no joint turns less than by that
-    MotorSolver(),
+    SearchMotorSolver(),
     SearchElectronicsSolver(),
     SearchWireSolver(),
-    PrintabilitySolver(),
-    FinishSolver(),
+    PrintabilitySolver(split=True),
+    FinishSolver(min_overlap=FUSED, split=True),
 )
 
 Rules = Literal["paper", "search"]

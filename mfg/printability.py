@@ -23,11 +23,13 @@ class PrintabilitySolver:
         gap: room between a mount and the bodies that it does not belong to [m].
         max_loss: largest share of a bone that the hardware may cut loose.
         min_volume: least volume of a bone with its mounts [m3].
+        split: bodies beyond the printer's volume will be cut into pieces, so none is refused for its size.
     """
 
     gap: float = 1.5e-3
     max_loss: float = 0.10
     min_volume: float = 3.0e-5
+    split: bool = False
 
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint unchanged, or a print failure."""
@@ -39,7 +41,7 @@ class PrintabilitySolver:
             if failure is not None:
                 return failure
             outline = np.concatenate([outline_points(f) for f in (field, body.skin) if f is not None])
-            if not fits_printer(outline, printer.volume):
+            if not self.split and not fits_printer(outline, printer.volume):
                 return Failure(
                     Stage.PRINT,
                     Reason.TOO_LARGE,

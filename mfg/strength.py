@@ -30,8 +30,8 @@ Half = Literal["holder", "connector"]
 # mount is loaded in all of them and its way up on the printer is chosen later.
 LAYER_STRENGTH = 22.8e6
 POISSON = 0.35  # of PLA (assumed), typical of glassy polymers
-# Young's modulus of infill over that of its plastic is its share squared (the law of open cells, Gibson & Ashby, Cellular
-# Solids, ch. 5; gyroid PLA lattices measured between 1 % and 12 % of the bulk agree in size). (assumed)
+# Young's modulus of infill over that of its plastic is its share squared (the law of open cells, Gibson & Ashby,
+# Cellular Solids, ch. 5; gyroid PLA lattices measured between 1 % and 12 % of the bulk agree in size). (assumed)
 INFILL_POWER = 2.0
 # Couple across the axis over the peak torque (assumed): the force that makes the peak torque at the end of a limb acts
 # beside the plane in which the joint turns, by a quarter of its lever arm (50 mm beside a limb of 0.2 m).

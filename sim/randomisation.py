@@ -41,7 +41,7 @@ class Randomisation:
     damping: Range = (0.7, 1.3)  # factor on kd
     voltage: Range = (0.85, 1.05)  # factor: a 6S pack from 25.2 V full to 20.4 V under load, 24 V nominal
     friction: Range = (0.4, 1.2)  # sliding, absolute: TPU on tiles to TPU on rubber (legged_gym 0.5 to 1.25)
-    contact_time: Range = (0.4, 1.6)  # factor on the skin's contact time constant: a quarter to 2.5 times as stiff
+    contact_time: Range = (0.4, 1.6)  # factor on the skin's contact time constant: 0.4 to 6 times as stiff, k ~ 1 / T^2
     mass: Range = (
         0.85,
         1.15,
@@ -65,7 +65,7 @@ class Randomisation:
                     raise ValueError(
                         f"randomisation: {field.name} is {value}; it must be a range with 0 {sign} low <= high"
                     )
-            elif isinstance(value, float) and not 0.0 <= value < np.inf:
+            elif isinstance(value, int | float) and not 0.0 <= value < np.inf:
                 raise ValueError(f"randomisation: {field.name} is {value}; it must be finite and not negative")
         if not self.push_every > 0.0:
             raise ValueError(f"randomisation: push_every is {self.push_every}; it must be above 0 s")

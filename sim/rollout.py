@@ -175,7 +175,10 @@ def roll_out(
     lead, length = round(LEAD_IN / CONTROL_PERIOD), max(1, round(seconds / CONTROL_PERIOD))
     at = np.arange(lead + length) * CONTROL_PERIOD
     fade = smooth_step(at / LEAD_IN)[:, None]
-    control = np.stack([fade * gait.targets(at) for gait in gaits])
+    # As the robot does: within each joint's range, and from the pose in which it was built.
+    low, high = drive_of(model).range.T
+    default = np.clip(0.0, low, high)
+    control = np.stack([default + fade * (np.clip(gait.targets(at), low, high) - default) for gait in gaits])
     substeps = _steps(model, CONTROL_PERIOD)
     simulations = batch.Batch(model, nsim=len(gaits), nthread=nthread, persistent=True)
     simulations.state[:] = start

@@ -121,7 +121,7 @@ def terms(task: Task, moment: Moment) -> dict[str, Array]:
         case Goal.COMMAND:
             wanted = moment.command
             miss = np.square(forward - wanted[:, 0]) + np.square(left - wanted[:, 1])
-            # The kernels of legged_gym: most of the reward is within half a metre, or half a radian, a second.
+            # Kernels as legged_gym has them, that of the speed four times as narrow: these robots are slower.
             earned = {
                 "tracking": np.exp(-miss / 0.25 * 4),
                 "turning": 0.5 * np.exp(-np.square(moment.yaw_rate - wanted[:, 2]) / 0.25),

@@ -246,8 +246,8 @@ def evaluate(
     """
     start = settle(model) if start is None else start
     plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
-    behaviours = randomised(model, actor, training.randomisation or RANDOMISED, training.seed, start=start,
-                            nthread=nthread)  # fmt: skip
+    behaviours = randomised(model, actor, training.randomisation or RANDOMISED, training.seed,
+                            seconds=EVALUATION_SECONDS, start=start, nthread=nthread)  # fmt: skip
     alive = [b for b in behaviours if b is not None]
     return Verdict(
         speed=0.0 if plain is None else plain.speed * plain.upright,
