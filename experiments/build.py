@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from experiments.output import BAD_INPUT, CATALOGUES, DONE, INFEASIBLE, SOLVERS,
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
     from mfg.catalogue import Catalogue
+    from mfg.pipeline import Outcome
     from mfg.slicer import SliceReport
 
 HELP = "a design (.npz or .vox) becomes a blueprint folder: parts, print file, models, wiring, assembly guide"
@@ -24,6 +26,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("design", type=Path, metavar="DESIGN", help="a design: .npz, or MagicaVoxel .vox")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="blueprint folder to write")
     add_pipeline_options(parser)
+    parser.add_argument(
+        "--repair", action="store_true", help="if it cannot be built, change the body as little as helps"
+    )
     parser.add_argument("--no-guide", action="store_true", help="leave out guide.html, which takes seconds")
     parser.add_argument("--step", action="store_true", help="add step/: every rigid part as a solid for CAD programs")
     parser.add_argument("--slice", action="store_true", help="slice it with PrusaSlicer: time, filament, warnings")
@@ -51,6 +56,8 @@ def main(args: argparse.Namespace) -> int:
     existed = args.out.is_dir()
     folder = make_folder(args.out)
     outcome = build(design, catalogue_of(args.catalogue), args.solver)
+    if not outcome.ok and args.repair:
+        outcome = _repaired(outcome, args)
     if not outcome.ok:
         if not existed:
             folder.rmdir()
@@ -83,6 +90,25 @@ def main(args: argparse.Namespace) -> int:
     if not args.no_guide:
         print(f"how to build it, step by step: {folder / 'guide.html'}")
     return status
+
+
+def _repaired(outcome: Outcome, args: argparse.Namespace) -> Outcome:
+    """The blueprint of the body changed as little as helps, with notes of every change; the given one if none helps."""
+    from mfg.pipeline import build, score
+    from mfg.repair import repaired
+
+    parts = catalogue_of(args.catalogue)
+    say(f"{args.design} cannot be built as it is: {outcome.failure}")
+    say("trying changes to the body, the smallest first")
+    repair = repaired(outcome.design, lambda design: score(design, parts, args.solver))
+    again = build(repair.changes[-1].design, parts, args.solver) if repair.changes else outcome
+    if not again.ok:
+        say(f"none of {repair.tried} bodies can be built")
+        return outcome
+    blueprint = again.blueprint
+    for change in repair.changes:
+        blueprint = blueprint.noted(f"repaired: {change.what} ({change.size:+.0%} bone)")
+    return replace(again, blueprint=blueprint)
 
 
 def _need_slicer() -> None:

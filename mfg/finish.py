@@ -40,6 +40,7 @@ from mfg.solids import Solid, ball_chain, from_field, surface, union
 from mfg.splitting import SplitSolver, pieces
 from mfg.stl import MM_PER_M, torn_edges, welded
 
+TIDIER = (1e-6, 1e-5, 5e-5)  # by which edges are tidied where a part does not close otherwise [m]
 PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
 EDGE_BLUR = 1.5  # width of the blur that straightens the rim of a skin [samples]
 _REPAIRS = 4  # attempts
@@ -227,19 +228,27 @@ class FinishSolver:
 
     def _whole(self, part: PrintedPart) -> PrintedPart | Failure:
         """The part as one solid that is still closed when its corners are rounded to what a file can hold."""
-        solid = part.solid
-        for attempt in range(_REPAIRS):
+        for tidy in (0.0, *TIDIER):
+            solid = self._opened(part.solid.simplified(tidy) if tidy else part.solid)
+            if solid is not None:
+                return part if solid is part.solid else replace(part, solid=solid)
+        return Failure(Stage.PRINT, Reason.NOT_WATERTIGHT, f"{part.name} does not close on the lattice of an STL file")
+
+    def _opened(self, whole: Solid) -> Solid | None:
+        """The solid where it closes on the lattice of a file, opened where two of its sheets only touch; or None."""
+        solid = whole
+        for _ in range(_REPAIRS):
             vertices, triangles = welded(solid)
             torn = torn_edges(triangles)
             if not len(torn) and len(triangles):
-                return replace(part, solid=solid) if attempt else part
+                return solid
             # Two sheets that meet in an edge or a corner: no printer makes that, so open it.
             ends = vertices[torn] / MM_PER_M
             pieces = solid.minus([ball_chain(pair, PINCH, 8) for pair in ends]).components()
-            if not pieces or pieces[0].volume < part.solid.volume - self.min_piece:
+            if not pieces or pieces[0].volume < whole.volume - self.min_piece:
                 break
             solid = pieces[0]
-        return Failure(Stage.PRINT, Reason.NOT_WATERTIGHT, f"{part.name} does not close on the lattice of an STL file")
+        return None
 
     def _too_large(self, blueprint: Blueprint) -> Failure | None:
         printer = blueprint.catalogue.printer

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bodies import ellipsoid, painted
 
-from decoder.design import VoxelDesign
+from decoder.design import Joint, VoxelDesign
 from decoder.latent import make_decoder, sample_latents
 from decoder.sketch import load_design
 from experiments import build as command
@@ -228,3 +229,17 @@ def test_step_files_come_only_when_asked_for(bodyplan, good, tmp_path, small):
     assert changed_files(robot) == []
     assert bodyplan("build", good, "--out", robot).status == 0
     assert not (robot / "step").exists()
+
+
+def test_a_body_that_cannot_be_built_is_repaired_on_request(bodyplan, tmp_path):
+    joint = Joint(np.array([0.32, 0.32, 0.32]), np.array([0.0, 1.0, 0.0]), np.array([-0.6, 0.6]), 1, 2)
+    thin = painted([ellipsoid((21, 32, 32), (12, 11, 10)), ellipsoid((45, 32, 32), (11, 2.2, 2.2))], (joint,))
+    thin.save(tmp_path / "thin.npz")
+    words = ("build", tmp_path / "thin.npz", "--out", tmp_path / "robot", "--no-guide")
+    assert bodyplan(*words).status == 1
+    said = bodyplan(*words, "--repair")
+    assert said.status == 0, said.err
+    assert "note: repaired: " in said.out
+    notes = json.loads((tmp_path / "robot" / "blueprint.json").read_text())["notes"]
+    assert any(note.startswith("repaired: ") for note in notes)
+    assert VoxelDesign.load(tmp_path / "robot" / "design.npz").key != thin.key
