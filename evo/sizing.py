@@ -133,9 +133,9 @@ def sized(
         if earlier:
             cycle = done[done.index(earlier[0]) :]
             kept = _best(cycle)
-            motors = " > ".join(" + ".join(_names(r.catalogue)[:2]) for r in cycle)
+            path = " > ".join(" + ".join(_names(r.catalogue)) for r in cycle)
             verdict = "none of them bears its own robot" if kept is None else f"kept {kept.motor.name}, which does"
-            return body.ended(kept, End.CYCLE, f"the choice goes round: {motors}; {verdict}", done)
+            return body.ended(kept, End.CYCLE, f"the choice goes round: {path}; {verdict}", done)
         outcome = following
     kept = _best(done)
     verdict = "none bore its own robot" if kept is None else f"kept {kept.motor.name}, which bears its own robot"
