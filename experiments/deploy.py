@@ -118,11 +118,15 @@ def bundle_of(description: Description, actor: Policy, *, dt: float = CONTROL_PE
     Raises:
         BundleError: The robot has more joints than one bus has ids, or the actor has another number of joints.
     """
-    from hardware.bundle import Bundle, JointSetup
+    from hardware.bundle import Bundle, BundleError, JointSetup
     from hardware.j60 import quantise_gains
 
     joints = []
     for joint in description.joints:
+        if joint.motor.driver == "none":
+            raise BundleError(
+                f"Joint {joint.name!r}: no driver speaks to a {joint.motor.name}; a bundle needs J60 motors."
+            )
         low, high = float(joint.range[0]), float(joint.range[1])
         kp, kd = quantise_gains(joint.motor.stiffness, joint.motor.damping)
         joints.append(

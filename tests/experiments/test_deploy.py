@@ -65,6 +65,13 @@ def test_the_bundle_of_a_robot_has_its_joints_and_gains_that_the_wire_keeps(robo
         bundle_of(robot, Gait(1.0, np.zeros(2), np.zeros(2), np.zeros(2)))
 
 
+def test_a_motor_that_nobody_can_drive_has_no_bundle(robot: Description) -> None:
+    motor = replace(robot.joints[0].motor, name="Other", driver="none")
+    other = replace(robot, joints=tuple(replace(joint, motor=motor) for joint in robot.joints))
+    with pytest.raises(BundleError, match="no driver speaks to a Other"):
+        bundle_of(other, Gait(1.0, np.zeros(1), np.zeros(1), np.zeros(1)))
+
+
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A blueprint folder in which one motor sits in the parent and one in the child."""
