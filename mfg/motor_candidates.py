@@ -90,6 +90,11 @@ class Candidates:
         }
         return Candidates(index, hinge, mount, found, _few(found, hinge, spread, most), nearest, sections)
 
+    def of_plastic(self, plastic: Plastic) -> Candidates:
+        """The same seats in bones of another plastic."""
+        sections = {body: replace(found, plastic=plastic) for body, found in self.sections.items()}
+        return replace(self, sections=sections, known={})
+
     def safety(self, k: int, least: float = 0.0) -> float:
         """Safety factor of a seat's mount: of its weaker half, or of one that is known to stay below `least`."""
         if k not in self.known:
@@ -143,7 +148,7 @@ class Candidates:
 def _few(seats: list[MotorSeat], hinge: Hinge, spread: float, most: int) -> list[int]:
     """The best seats of every kind that are at least `spread` apart [m], at most so many in all."""
     kept: dict[tuple[int, bool], list[float]] = {}
-    few = []
+    few: list[int] = []
     for k, seat in enumerate(seats):
         kind = seat.holder, bool(seat.T_design_motor[:3, 2] @ hinge.axis > 0)
         others = kept.setdefault(kind, [])
