@@ -84,9 +84,9 @@ class SearchMotorSolver:
                 return self._too_far(blueprint, joint)
             joints.append(joint)
         # A few seats for each joint first: nearly always enough, and much faster than all of them.
-        answer = self._choice(blueprint, joints, [joint.few for joint in joints], self.steps // 4)
+        answer = self._choice(blueprint, joints, every=False)
         if isinstance(answer, Failure):
-            answer = self._choice(blueprint, joints, [list(range(len(joint.seats))) for joint in joints], self.steps)
+            answer = self._choice(blueprint, joints, every=True)
         if isinstance(answer, Failure):
             return answer
         for walls in range(catalogue.rigid.walls, most):
@@ -111,10 +111,13 @@ class SearchMotorSolver:
     def _plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
         return Plastic.of(replace(catalogue.rigid, walls=walls), catalogue.printer, self.strength)
 
-    def _choice(
-        self, blueprint: Blueprint, joints: list[Candidates], open_seats: list[list[int]], steps: int
-    ) -> list[int] | Failure:
-        """The best combination of some of the joints' seats, or why there is none."""
+    def _choice(self, blueprint: Blueprint, joints: list[Candidates], *, every: bool) -> list[int] | Failure:
+        """The best combination of the joints' seats, or why there is none.
+
+        Out of a few of them, and such that motors are clearly apart, or out of `every` seat, told apart exactly.
+        """
+        open_seats = [list(range(len(joint.seats))) if every else joint.few for joint in joints]
+        steps = self.steps if every else self.steps // 4
         mount = mount_of(blueprint.catalogue.motor)
         seats = [[joint.seats[k] for k in some] for joint, some in zip(joints, open_seats, strict=True)]
         poses = [np.array([seat.T_design_motor for seat in some]) for some in seats]
@@ -127,9 +130,9 @@ class SearchMotorSolver:
             return ~known(i, a, j).meet
 
         def clear(i: int, a: int, j: int, b: int) -> bool:
-            return bool(known(i, a, j).distance[b] >= self.gap) or not envelopes_meet(
-                seats[i][a].T_design_motor, seats[j][b].T_design_motor, mount, self.gap
-            )
+            if known(i, a, j).distance[b] >= self.gap:
+                return True
+            return every and not envelopes_meet(poses[i][a], poses[j][b], mount, self.gap)
 
         def accept(i: int, a: int) -> bool:
             if joints[i].safety(open_seats[i][a], self.min_safety) < self.min_safety:

@@ -41,6 +41,7 @@ DIRECTIONS = 8  # of that couple, all around
 CELL = 5.0e-3  # edge of a cell of the sampled bone, along and across [m]
 AZIMUTHS = 48  # cells around
 LAYERS = 8  # cans beyond the mount's own rim, `CELL` apart: what lies 40 mm away counts as the body
+CUTS = (0, 1, 2, 4, 7)  # layers at which a section is taken
 SEEN = 0.25  # least filled share of a cell whose stress counts
 BODY_SHARE = 0.5  # of a bone that lies within the sections; the rest is the body that holds them
 # What sections cannot see, fitted to finite elements on random mounts so that few are stronger here than there: stress
@@ -162,11 +163,15 @@ class Sections:
             if k:
                 filled = _reached(filled, reached[z.clip(a + 1, b - 1), np.minimum(r, m - 1)])
             reached[z, r] = filled
-            found = self._cut(z, r, filled, m)
-            if found is None:
+            if k in CUTS:
+                found = self._cut(z, r, filled, m)
+                if found is None:
+                    return np.inf
+                worst = max(worst, found)
+            elif not filled.any():
                 return np.inf
-            stress, volume = found
-            worst, held = max(worst, stress), held + volume
+            arc = (self.mount.attach_radius + (r + 0.5) * CELL) * (2 * np.pi / AZIMUTHS)
+            held += CELL**2 * float((filled * coverage(self.depth[z, r], CELL)).sum(axis=1) @ arc)
             if held > BODY_SHARE * self.volume or NOTCH[half] * worst + own > most:
                 break
             a, b, m = a - 1, b + 1, m + 1
@@ -185,8 +190,8 @@ class Sections:
         room[max(first, 0) : max(last, 0), : int(np.ceil((outer - self.mount.attach_radius) / CELL - 1e-9))] = False
         return room
 
-    def _cut(self, z: Index, r: Index, filled: Mask, m: int) -> tuple[float, float] | None:
-        """The greatest stress in one section, and the volume of its cells [m3]; None where it cannot carry a couple."""
+    def _cut(self, z: Index, r: Index, filled: Mask, m: int) -> float | None:
+        """The greatest stress in one section [Pa]; None where it cannot carry a couple."""
         along, around = np.nonzero(filled)
         if len(along) < 4:
             return None
@@ -221,8 +226,7 @@ class Sections:
         slide += np.square(motion[2] + np.outer(y, a) - np.outer(x, b))
         pull *= pull
         square = pull + 3 * shear**2 * np.maximum(slide - pull, 0.0)
-        volume = CELL**2 * float(arc @ coverage(depth, CELL))
-        return math.sqrt(float(square.max())), volume
+        return math.sqrt(float(square.max()))
 
 
 @lru_cache(maxsize=8)
