@@ -90,6 +90,11 @@ class Candidates:
         }
         return Candidates(index, hinge, mount, found, _few(found, hinge, spread, most), nearest, sections)
 
+    def of_plastic(self, plastic: Plastic) -> Candidates:
+        """The same seats in bones of another plastic."""
+        sections = {body: replace(found, plastic=plastic) for body, found in self.sections.items()}
+        return replace(self, sections=sections, known={})
+
     def safety(self, k: int, least: float = 0.0) -> float:
         """Safety factor of a seat's mount: of its weaker half, or of one that is known to stay below `least`."""
         if k not in self.known:

@@ -30,11 +30,11 @@ class Stuck:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Clearance:
-    """What is known about the envelopes of motors at two sets of poses.
+    """What is known about the envelope of one motor and those of others.
 
     Attributes:
-        distance: clear distance between them, at most the true one; negative where they may meet [m], (n, m).
-        meet: whether they certainly share a point, (n, m).
+        distance: clear distance between them, at most the true one; negative where they may meet [m], (n,).
+        meet: whether they certainly share a point, (n,).
     """
 
     distance: Array
@@ -42,7 +42,7 @@ class Clearance:
 
     @staticmethod
     def of(T: Array, U: Array, mount: Mount) -> Clearance:
-        """Compare motors at poses T (n, 4, 4) with motors at poses U (m, 4, 4).
+        """Compare a motor at pose T (4, 4) with motors at poses U (n, 4, 4).
 
         The envelopes are taken as plain cylinders. Apart is what casts shadows that are apart on the two axes, on their
         common normal, or on the lines between their middles and between their nearest axis points; the widest gap is
@@ -50,10 +50,9 @@ class Clearance:
         """
         low, high = mount.base_low, mount.connector_high
         half, radius = (high - low) / 2, mount.envelope_radius
-        z, w = T[:, None, :3, 2], U[None, :, :3, 2]
-        a, b = T[:, None, :3, 3] + (low + high) / 2 * z, U[None, :, :3, 3] + (low + high) / 2 * w
-        between = b - a
-        z, w = z + 0 * between, w + 0 * between
+        w = U[:, :3, 2]
+        z = np.broadcast_to(T[:3, 2], w.shape)
+        between = U[:, :3, 3] - T[:3, 3] + (low + high) / 2 * (w - z)
         cosine, ahead, back = _dot(z, w), _dot(between, z), _dot(between, w)
         # The nearest points of two segments, by alternating projection: near enough to propose a direction.
         s = np.zeros(cosine.shape)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Body, MotorSeat
 from mfg.bones import cut_cylinder, largest_piece
+from mfg.catalogue import Catalogue
 from mfg.exact import ACCESS, LIFT
 from mfg.fields import Field
 from mfg.miss import Miss
@@ -39,6 +41,8 @@ class SearchMotorSolver:
         min_safety: least strength over stress of both halves of a mount under the peak torque, in place of tau.
         min_overlap: least sampled volume that each half shares with its bone, twice what fuses the solids [m3].
         strength: of the printed plastic [Pa].
+        most_walls: bones are printed with the fewest walls that make the mounts strong, from those that the catalogue
+            states to so many; `catalogue.rigid` of the blueprint returned says how many.
         alpha: weight of the total volume against the balanced one in g(delta).
         scan: offsets reach from -scan to +scan along the axis [m].
         step: between offsets [m].
@@ -54,6 +58,7 @@ class SearchMotorSolver:
     min_safety: float = 2.0
     min_overlap: float = 2 * FUSED
     strength: float = LAYER_STRENGTH
+    most_walls: int = 6
     alpha: float = MotorSolver.alpha
     scan: float = 0.080
     step: float = 2.0e-3
@@ -68,20 +73,32 @@ class SearchMotorSolver:
     def solve(self, blueprint: Blueprint) -> Blueprint | Failure:
         """Return the blueprint with `seats`, their bones cut for far offsets, and scores; or a motor failure."""
         catalogue = blueprint.catalogue
-        plastic = Plastic.of(catalogue.rigid, catalogue.printer, self.strength)
+        most = max(self.most_walls, catalogue.rigid.walls)
         scan = MotorSolver(self.min_overlap, self.alpha, self.scan, self.slice)
         joints = []
         for index in range(len(blueprint.hinges)):
-            joint = Candidates.of(blueprint, index, scan, self.step, self.spread, self.candidates, plastic)
+            joint = Candidates.of(
+                blueprint, index, scan, self.step, self.spread, self.candidates, self._plastic(catalogue, most)
+            )
             if not joint.seats:
                 return self._too_far(blueprint, joint)
             joints.append(joint)
         # A few seats for each joint first: nearly always enough, and much faster than all of them.
-        answer = self._choice(blueprint, joints, [joint.few for joint in joints])
+        answer = self._choice(blueprint, joints, every=False)
         if isinstance(answer, Failure):
-            answer = self._choice(blueprint, joints, [list(range(len(joint.seats))) for joint in joints])
+            answer = self._choice(blueprint, joints, every=True)
         if isinstance(answer, Failure):
             return answer
+        for walls in range(catalogue.rigid.walls, most):
+            thinner = [joint.of_plastic(self._plastic(catalogue, walls)) for joint in joints]
+            if all(j.safety(k, self.min_safety) >= self.min_safety for j, k in zip(thinner, answer, strict=True)):
+                joints, most = thinner, walls
+                break
+        if most > catalogue.rigid.walls:
+            stronger = replace(catalogue, rigid=replace(catalogue.rigid, walls=most))
+            blueprint = replace(blueprint, catalogue=stronger).noted(
+                f"bones are printed with {most} walls instead of {catalogue.rigid.walls}: the mounts need it"
+            )
         mount = mount_of(catalogue.motor)
         seats = tuple(joint.turned(k) for joint, k in zip(joints, answer, strict=True))
         whole = list(blueprint.bodies)
@@ -91,22 +108,31 @@ class SearchMotorSolver:
                 whole[index] = cut or whole[index]  # Two cuts that pass alone may sever together: finish will tell.
         return with_seats(replace(blueprint, bodies=tuple(whole)), seats, self.alpha)
 
-    def _choice(
-        self, blueprint: Blueprint, joints: list[Candidates], open_seats: list[list[int]]
-    ) -> list[int] | Failure:
-        """The best combination of some of the joints' seats, or why there is none."""
+    def _plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
+        return Plastic.of(replace(catalogue.rigid, walls=walls), catalogue.printer, self.strength)
+
+    def _choice(self, blueprint: Blueprint, joints: list[Candidates], *, every: bool) -> list[int] | Failure:
+        """The best combination of the joints' seats, or why there is none.
+
+        Out of a few of them, and such that motors are clearly apart, or out of `every` seat, told apart exactly.
+        """
+        open_seats = [list(range(len(joint.seats))) if every else joint.few for joint in joints]
+        steps = self.steps if every else self.steps // 4
         mount = mount_of(blueprint.catalogue.motor)
         seats = [[joint.seats[k] for k in some] for joint, some in zip(joints, open_seats, strict=True)]
-        reach = 2 * (self.scan + math.hypot(mount.connector_high, mount.envelope_radius))
-        clearance = clearances([joint.hinge.position for joint in joints], seats, mount, reach)
+        poses = [np.array([seat.T_design_motor for seat in some]) for some in seats]
+
+        @cache
+        def known(i: int, a: int, j: int) -> Clearance:
+            return Clearance.of(poses[i][a], poses[j], mount)
 
         def possible(i: int, a: int, j: int) -> Mask:
-            return ~clearance[i, j].meet[a] if (i, j) in clearance else np.ones(len(seats[j]), bool)
+            return ~known(i, a, j).meet
 
         def clear(i: int, a: int, j: int, b: int) -> bool:
-            if (i, j) not in clearance or clearance[i, j].distance[a, b] >= self.gap:
+            if known(i, a, j).distance[b] >= self.gap:
                 return True
-            return not envelopes_meet(seats[i][a].T_design_motor, seats[j][b].T_design_motor, mount, self.gap)
+            return every and not envelopes_meet(poses[i][a], poses[j][b], mount, self.gap)
 
         def accept(i: int, a: int) -> bool:
             if joints[i].safety(open_seats[i][a], self.min_safety) < self.min_safety:
@@ -114,9 +140,9 @@ class SearchMotorSolver:
             seat = seats[i][a]
             return all(self._cut(blueprint.bodies[b], blueprint, seat, b, mount) for b in (seat.holder, seat.connector))
 
-        answer = choose([np.array([s.score for s in some]) for some in seats], possible, clear, accept, self.steps)
+        answer = choose([np.array([s.score for s in some]) for some in seats], possible, clear, accept, steps)
         if isinstance(answer, Stuck):
-            return self._stuck(blueprint, joints, clearance, answer)
+            return self._stuck(blueprint, joints, poses, answer)
         return [some[k] for some, k in zip(open_seats, answer, strict=True)]
 
     def _cut(self, body: Body, blueprint: Blueprint, seat: MotorSeat, index: int, mount: Mount) -> Body | None:
@@ -154,17 +180,15 @@ class SearchMotorSolver:
             Reason.NO_OVERLAP,
             f"{joint.hinge.name}: the best offset, {1e3 * seat.offset:+.0f} mm, shares "
             f"{1e6 * seat.holder_volume:.1f} cm3 with the holder's {blueprint.bodies[seat.holder].name} and "
-            f"{1e6 * seat.connector_volume:.1f} cm3 with the connector's {blueprint.bodies[seat.connector].name}, "
-            f"each needs {1e6 * self.min_overlap:.1f} cm3; "
-            f"{name} lacks material{f' by {1e3 * away:.0f} mm' if away > 0 else ''}: "
-            f"grow segment {segment} by {_voxels(voxels)} near the joint",
+            f"{1e6 * seat.connector_volume:.1f} cm3 with the connector's {blueprint.bodies[seat.connector].name}, each "
+            f"needs {1e6 * self.min_overlap:.1f} cm3; {name} lacks material"
+            f"{f' by {1e3 * away:.0f} mm' if away > 0 else ''}: grow segment {segment} by {_voxels(voxels)} near the "
+            "joint",
             Miss(Stage.MOTOR, joint.index, body, segment, short_volume=short, short_length=away,
                  remedy="grow_near_joint"),
         )  # fmt: skip
 
-    def _stuck(
-        self, blueprint: Blueprint, joints: list[Candidates], clearance: dict[tuple[int, int], Clearance], stuck: Stuck
-    ) -> Failure:
+    def _stuck(self, blueprint: Blueprint, joints: list[Candidates], poses: list[Array], stuck: Stuck) -> Failure:
         joint = joints[stuck.joint]
         strong = [k for k, (safety, _) in joint.known.items() if safety >= self.min_safety]
         if stuck.other is None and not strong:
@@ -178,8 +202,9 @@ class SearchMotorSolver:
                 Miss(Stage.MOTOR, joint.index, remedy="grow_near_joint"),
             )
         other = joints[stuck.other]
-        i, j = sorted((stuck.joint, stuck.other))
-        short = self.gap - float(clearance[i, j].distance.max()) if (i, j) in clearance else 0.0
+        mount = mount_of(blueprint.catalogue.motor)
+        widest = max(float(Clearance.of(T, poses[stuck.other], mount).distance.max()) for T in poses[stuck.joint])
+        short = self.gap - widest
         need = max(short, 0.0)
         far = f"by {1e3 * need:.0f} mm or more" if need > 0 else "together with the other motors"
         return Failure(
@@ -209,19 +234,6 @@ class SearchMotorSolver:
             Miss(Stage.MOTOR, joint.index, body, segment, short_factor=1 - safety / self.min_safety,
                  short_length=voxels * blueprint.design.pitch, remedy="thicken_near_joint"),
         )  # fmt: skip
-
-
-def clearances(
-    places: list[Array], seats: list[list[MotorSeat]], mount: Mount, reach: float
-) -> dict[tuple[int, int], Clearance]:
-    """How all seats of each two joints i < j stand to each other where the joints are less than `reach` apart [m]."""
-    poses = [np.array([seat.T_design_motor for seat in some]) for some in seats]
-    return {
-        (i, j): Clearance.of(poses[i], poses[j], mount)
-        for j in range(len(seats))
-        for i in range(j)
-        if np.linalg.norm(places[i] - places[j]) < reach
-    }
 
 
 def _fills(bone: Field, position: Array, axis: Array, radius: float, low: float, high: float) -> bool:

@@ -1,4 +1,4 @@
-"""The stress of half a motor mount in its bone, by finite elements: what `mfg.strength` estimates by sections."""
+"""The stress of one half of a motor mount in its bone by finite elements; `mfg.strength` estimates the same."""
 
 from __future__ import annotations
 

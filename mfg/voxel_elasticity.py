@@ -99,7 +99,7 @@ class VoxelModel:
 
 
 def _settled(K: sparse.csr_matrix, loads: Array) -> Array | None:
-    """Solve K x = load for all columns (n, loads) by conjugate gradients side by side: K passes memory once for all."""
+    """Solve K x = load for every column (n, loads), by conjugate gradients side by side: K passes memory once."""
     inverse = (1.0 / K.diagonal())[:, None]
     x, r = np.zeros_like(loads), loads.copy()
     aim = TOLERANCE**2 * np.square(loads).sum(axis=0)
