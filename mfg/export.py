@@ -23,6 +23,7 @@ from mfg.manifest import NAME, ManifestError, manifest, manifest_bytes, part_fil
 from mfg.masses import wire_stretches
 from mfg.pipeline import Outcome
 from mfg.plate import Lay, arrange
+from mfg.print_notes import air_surface, print_notes
 from mfg.robot_files import Visual, mesh_files, mjcf, urdf
 from mfg.slicer import SliceReport
 from mfg.solids import Solid
@@ -118,7 +119,9 @@ def blueprint_files(blueprint: Blueprint, *, guide: bool = False, step: bool = F
         raise ValueError(f"design {blueprint.design.key} has no printed parts yet; build it before it is exported")
     catalogue = blueprint.catalogue
     description = describe(blueprint)
-    lays = arrange([piece.points for piece in pieces(blueprint)], catalogue.printer.volume)
+    printed = pieces(blueprint)
+    surfaces = [air_surface(blueprint, piece) for piece in printed]
+    lays = arrange([piece.points for piece in printed], catalogue.printer.volume, surfaces)
     objects = print_objects(blueprint, lays)
     visuals = robot_visuals(blueprint, description)
     design = io.BytesIO()
@@ -223,7 +226,7 @@ def print_settings(blueprint: Blueprint, lays: list[Lay]) -> str:
     lines += [
         "Rigid and soft parts of a body are one object; interlocking depth at their boundary "
         f"{1e3 * printer.interlock_depth:.2f} mm (Bambu Studio: Others > Advanced).",
-        "Supports: on the build plate and inside motor cups, rigid filament.",
+        *print_notes(blueprint),
         "",
     ]
     for piece, lay in zip(pieces(blueprint), lays, strict=True):

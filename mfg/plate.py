@@ -13,6 +13,9 @@ from mfg.blueprint import Transform
 from mfg.catalogue import Size
 
 SPACING = 0.008  # between objects on a plate [m]
+OVERHANG = np.deg2rad(40)  # a surface that faces down and is less steep than this needs support [rad]
+HEIGHT_COST = 4.0e-3  # support that takes as long to print as one metre of height, changes of nozzle and all [m3/m]
+_ON_PLATE = 5e-4  # what is nearer to the plate than this lies on it [m]
 _FACETS = 24  # hull facets tried as the bottom, largest first
 _SLACK = 1e-6  # so that a body of exactly the printer's size does not depend on rounding [m]
 
@@ -39,40 +42,76 @@ def fits_printer(points: NDArray[np.float64], volume: Size) -> bool:
     return print_rotation(points, volume) is not None
 
 
-def print_rotation(points: NDArray[np.float64], volume: Size) -> NDArray[np.float64] | None:
-    """The rotation (3, 3) that lays points (n, 3) as low as possible within the printer's volume; None if none fits.
+def print_rotation(
+    points: NDArray[np.float64], volume: Size, surface: NDArray[np.float64] | None = None
+) -> NDArray[np.float64] | None:
+    """The rotation (3, 3) that lays points (n, 3) best within the printer's volume; None if none fits.
 
-    Bottoms tried: the six of the design's axes, the six of the principal axes, and the largest facets of the convex
-    hull; each with every yaw that lays an edge of the footprint's outline along x. Of the yaws that fit, the one with
-    the smallest rectangle is taken: that body stands on the plate as a box that just holds it.
+    Best is the least `lay_cost` where the surface is given, else the least height. Bottoms tried: the six of the
+    design's axes, the six of the principal axes, and the largest facets of the convex hull; each with every yaw that
+    lays an edge of the footprint's outline along x. Of the yaws that fit, the one with the smallest rectangle is taken:
+    that body stands on the plate as a box that just holds it.
+
+    Args:
+        points: [m].
+        volume: of the printer [m].
+        surface: corners of the triangles that face the air, (m, 3, 3) [m].
     """
     try:
         hull = ConvexHull(points)
     except QhullError:
         return None
     corners = points[hull.vertices]
+    bottoms = np.stack(_bottoms(hull, corners))
+    height = np.ptp(corners @ bottoms.T, axis=0)
+    cost = height if surface is None else lay_cost(surface, bottoms, (corners @ bottoms.T).max(0), height)
     best: tuple[float, NDArray[np.float64]] | None = None
-    for down in _bottoms(hull, corners):
-        turned = _facing_down(down)
-        laid = corners @ turned.T
-        height = float(np.ptp(laid[:, 2]))
-        if height > volume[2] + _SLACK or (best is not None and height > best[0] - _SLACK):
+    margin = _SLACK if surface is None else _SLACK * float(cost.max())  # so that equals go to the first
+    for down, high, price in zip(bottoms, height, cost, strict=True):
+        if high > volume[2] + _SLACK or (best is not None and price > best[0] - margin):
             continue
-        yaw = _yaw(laid[:, :2], volume)
+        turned = _facing_down(down)
+        yaw = _yaw((corners @ turned.T)[:, :2], volume)
         if yaw is not None:
-            best = (height, yaw @ turned)
+            best = (float(price), yaw @ turned)
     return None if best is None else best[1]
 
 
-def arrange(bodies: Sequence[NDArray[np.float64]], volume: Size) -> list[Lay]:
+def lay_cost(
+    surface: NDArray[np.float64], bottoms: NDArray[np.float64], low: NDArray[np.float64], height: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What it takes to print with each of some bottoms (k, 3) down, as a volume of support [m3], (k,).
+
+    cost = sum of a z over overhanging triangles + HEIGHT_COST h: a is a triangle's area seen from below, z its height
+    above the plate, h the whole height. Support that ends on the body itself is shorter than z, so this is a bound.
+
+    Args:
+        surface: corners of the triangles that face the air, (m, 3, 3) [m].
+        bottoms: unit vectors that may point to the plate.
+        low: distance of the plate along each [m], (k,).
+        height: along each [m], (k,).
+    """
+    doubled = np.cross(surface[:, 1] - surface[:, 0], surface[:, 2] - surface[:, 0])
+    facing = doubled @ bottoms.T / 2  # area seen from below, (m, k)
+    above = low - surface.mean(axis=1) @ bottoms.T
+    steep = facing < np.cos(OVERHANG) * np.linalg.norm(doubled, axis=1)[:, None] / 2
+    needed = np.where(steep | (above < _ON_PLATE), 0.0, facing * above)
+    return np.asarray(needed.sum(0) + HEIGHT_COST * height)
+
+
+def arrange(
+    bodies: Sequence[NDArray[np.float64]], volume: Size, surfaces: Sequence[NDArray[np.float64]] | None = None
+) -> list[Lay]:
     """Lay bodies (points (n, 3) of each, design frame) on as few plates as rows of rectangles allow.
+
+    Each lies as `print_rotation` says; `surfaces` are what it takes for the least support, one for each body.
 
     Raises:
         ValueError: if a body does not fit the printer at all.
     """
     rotations, sizes = [], []
     for index, points in enumerate(bodies):
-        rotation = print_rotation(points, volume)
+        rotation = print_rotation(points, volume, None if surfaces is None else surfaces[index])
         if rotation is None:
             raise ValueError(f"body {index} does not fit the printer's volume of {volume} m in any orientation")
         rotations.append(rotation)

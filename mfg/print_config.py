@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mfg.catalogue import Filament, Printer
+from mfg.plate import OVERHANG
 
 # What the catalogue does not say; all (assumed), of common profiles for a 0.6 mm nozzle.
 FLOW = {"rigid": 20.0, "soft": 5.0}  # most that the nozzle melts [mm3/s]
@@ -10,7 +13,6 @@ HEAT = {"rigid": (220, 60), "soft": (230, 45)}  # nozzle, bed [C]
 SPEEDS = {"perimeter_speed": 150, "external_perimeter_speed": 100, "infill_speed": 200, "solid_infill_speed": 150,
           "top_solid_infill_speed": 100, "support_material_speed": 120, "bridge_speed": 50, "first_layer_speed": 40,
           "travel_speed": 400}  # fmt: skip  # [mm/s]
-OVERHANG = 40  # surfaces less steep than this above the plate are supported [degrees]
 FILAMENT_DIAMETER = 1.75  # [mm]
 BEAM_LAYERS = 2  # height of an interlocking beam
 AVOIDANCE = 1  # cells between the beams and the air, so that none shows outside
@@ -74,7 +76,7 @@ def prusa_config(printer: Printer, rigid: Filament, soft: Filament) -> dict[str,
         "support_material": "1",
         "support_material_auto": "1",
         "support_material_buildplate_only": "0",
-        "support_material_threshold": str(OVERHANG),
+        "support_material_threshold": f"{np.rad2deg(OVERHANG):.0f}",
         "support_material_style": "grid",
         "support_material_extruder": "1",
         "support_material_interface_extruder": "1",

@@ -223,7 +223,7 @@ def test_the_catalogues_on_offer_exist():
 @pytest.mark.parametrize("command", ["score", "build", "study", "simulate"])
 def test_solvers_and_components_can_be_chosen_wherever_designs_are_solved(bodyplan, command):
     said = bodyplan(command, "--help")
-    assert "--solver {paper}" in said.out
+    assert "--solver {paper,search}" in said.out
     assert "--catalogue {paper}" in said.out
 
 

@@ -90,7 +90,7 @@ def evolve(**keys: Any) -> dict[str, Any]:
         (evolve(decoder="a\nb.safetensors"), 'decoder = "a\\u000ab.safetensors"; it must be "vae" | "genome" | a file'),
         (evolve(decoder=""), 'decoder = ""; it must be "vae" | "genome"'),
         (evolve(decoder=7), 'decoder = 7; it must be "vae" | "genome"'),
-        (evolve(solver="search"), 'solver = "search"; it must be "paper"; searching by the solvers arrives'),
+        (evolve(solver="seek"), 'solver = "seek"; it must be "paper" | "search"'),
         (evolve(sed=1), "unknown key sed; did you mean seed?"),
         (evolve(search={"popsiz": 8}), "unknown key search.popsiz; did you mean popsize?"),
         (evolve(zzz=1), "unknown key zzz; known here are kind, seed, decoder"),

@@ -55,8 +55,8 @@ def beam(length: float, printer: tuple[float, float, float], **more: object) -> 
     return replace(blueprint, parts=parts)
 
 
-def checked(before: Blueprint, after: Blueprint | Failure, tidied: float = 1e-10) -> Blueprint:
-    """What must hold of anything that was cut; of bodies that are no boxes the kernel tidies so much away [m3]."""
+def checked(before: Blueprint, after: Blueprint | Failure, rounding: float = 1e-10) -> Blueprint:
+    """What must hold of anything that was cut; the mesh kernel moves curved surfaces by some `rounding` [m3]."""
     assert isinstance(after, Blueprint), str(after)
     volume = after.catalogue.printer.volume
     for piece in pieces(after):
@@ -65,16 +65,10 @@ def checked(before: Blueprint, after: Blueprint | Failure, tidied: float = 1e-10
     for part in after.parts:
         assert len(part.solid.components()) == 1, part.name
         assert len(torn_edges(welded(part.solid)[1])) == 0, part.name
-    # Bone and skin of one body share a film of about a micrometre before they are cut, too.
-    film = {
-        index: sum(
-            a.solid.overlap(b.solid) for a, b in itertools.combinations(before.parts, 2) if a.body == b.body == index
-        )
-        for index in range(len(after.bodies))
-    }
     for a, b in itertools.combinations(after.parts, 2):
-        most = film[a.body] if a.body == b.body and a.material != b.material else 0.0
-        assert a.solid.overlap(b.solid) < most + 1e-9, (a.name, b.name)
+        # Bone and skin of one body share a whole surface, so their rounding adds up, cut or not (see test_finish).
+        most = 1e-7 if a.body == b.body and a.material != b.material else 1e-9
+        assert a.solid.overlap(b.solid) < most, (a.name, b.name)
     for index in range(len(after.bodies)):
         for material in ("rigid", "soft"):
             old = [p.solid for p in before.parts if p.body == index and p.material == material]
@@ -84,10 +78,10 @@ def checked(before: Blueprint, after: Blueprint | Failure, tidied: float = 1e-10
             cuts = len(new) - 1 if material == "rigid" else 0
             lost = sum(s.volume for s in old) - sum(s.volume for s in new)
             if material == "rigid":
-                assert lost == pytest.approx(2 * cuts * LOST, abs=tidied)
+                assert lost == pytest.approx(2 * cuts * LOST, abs=rounding)
             else:
-                assert -1e-12 < lost < 1e-5
-            assert (union(new) - union(old)).volume <= tidied
+                assert -rounding < lost < 1e-5
+            assert (union(new) - union(old)).volume < rounding
     assert len({part.name for part in after.parts}) == len(after.parts)
     return after
 
@@ -208,7 +202,8 @@ def cut(built: Outcome) -> Blueprint:
     assert isinstance(refused, Failure)
     assert refused.reason is Reason.TOO_LARGE
     made = FinishSolver(split=True).solve(ready.blueprint)
-    return checked(built.blueprint, made, tidied=3e-7)
+    # 0.3 cm3 of 6 litres: 15 micrometres of surface.
+    return checked(built.blueprint, made, 3e-7)
 
 
 def test_a_robot_is_cut_and_its_files_know_the_pieces(cut: Blueprint) -> None:
