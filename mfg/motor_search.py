@@ -130,7 +130,8 @@ class SearchMotorSolver:
             return ~known(i, a, j).meet
 
         def clear(i: int, a: int, j: int, b: int) -> bool:
-            if known(i, a, j).distance[b] >= self.gap:
+            # The exact test grows the rim of an envelope by the gap both ways.
+            if known(i, a, j).distance[b] >= math.sqrt(2) * self.gap:
                 return True
             return every and not envelopes_meet(poses[i][a], poses[j][b], mount, self.gap)
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from mfg.fields import Field, coverage, cylinder_depth
 from mfg.mounts import BORE, WALL, Mount
-from mfg.strength import BODY_SHARE, POISSON, Half, Plastic, keepout, load_cases, safety_factor, span, superposed
+from mfg.strength import BODY_SHARE, PIECE, POISSON, Half, Plastic, keepout, load_cases, safety_factor, span, superposed
 from mfg.voxel_elasticity import VoxelModel, von_mises
 
 Array = NDArray[np.float64]
@@ -43,7 +43,8 @@ def mount_stress(
 
     The grid lies in the motor's frame. The mount is united with the bone, out of which the joint's cylinder and the
     room for the other half are cut; elements are as stiff as walls and infill make them. The couples act as forces on
-    the screws' ring. Held is the bone beyond `FAR`, or what lies beyond the distance within which half of it lies.
+    the screws' ring. Held is the bone beyond `FAR`, or what lies beyond the distance within which half of it lies;
+    pieces less than `PIECE` of it are lumps that nothing holds.
 
     Args:
         bone: depth field of the bone, design frame.
@@ -82,7 +83,9 @@ def mount_stress(
     far_nodes = np.maximum(
         np.maximum(np.hypot(points[:, 0], points[:, 1]) - outer, low - points[:, 2]), points[:, 2] - high
     )
-    held = far_nodes > limit
+    held = (far_nodes > limit) & _body_at(
+        bone, T_design_motor, mount, half, limit, points @ T_design_motor[:3, :3].T + T_design_motor[:3, 3]
+    )
     ring = _screw_ring(points, mount, half, spacing)
     if held.sum() < 4 or not ring.any():
         return MountStress(np.inf, 0.0, len(model.cells), np.inf)
@@ -116,6 +119,23 @@ def _body(filled: NDArray[np.float32], far: NDArray[np.float32], volume: float) 
     order = np.argsort(distance, kind="stable")
     at = int(np.searchsorted(np.cumsum(share[order], dtype=np.float64), BODY_SHARE * volume))
     return min(FAR, float(distance[order[at]])) if at < len(order) else FAR
+
+
+def _body_at(
+    bone: Field, T_design_motor: Array, mount: Mount, half: Half, limit: float, points: Array
+) -> NDArray[np.bool_]:
+    """Whether points (n, 3) of the design frame are next to a large piece of the bone beyond `limit` of the mount."""
+    local = (bone.points() - T_design_motor[:3, 3]) @ T_design_motor[:3, :3]
+    outer, low, high = span(mount, half)
+    far = np.maximum(np.maximum(np.hypot(local[..., 0], local[..., 1]) - outer, low - local[..., 2]),
+                     local[..., 2] - high)  # fmt: skip
+    solid = bone.values > 0
+    pieces, _ = ndimage.label(solid & (far > limit - bone.spacing))
+    sizes = np.bincount(pieces.ravel())
+    sizes[0] = 0
+    large = ndimage.binary_dilation(sizes[pieces] >= PIECE * solid.sum(), iterations=2)
+    index = np.rint((points - bone.origin) / bone.spacing).astype(int).clip(0, np.asarray(bone.values.shape) - 1)
+    return np.asarray(large[tuple(index.T)], bool)
 
 
 def _hub(radial: NDArray[np.float32], along: NDArray[np.float32], mount: Mount, half: Half) -> NDArray[np.float32]:

@@ -9,15 +9,16 @@ cut. `mfg.mount_elasticity` computes the same with finite elements; `NOTCH` cove
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from mfg.catalogue import Filament, Printer
-from mfg.fields import Field, coverage
+from mfg.fields import Field, coverage, cylindrical
 from mfg.mounts import Mount, motor_pose
 
 Array = NDArray[np.float64]
@@ -40,7 +41,9 @@ DIRECTIONS = 8  # of that couple, all around
 
 CELL = 5.0e-3  # edge of a cell of the sampled bone, along and across [m]
 AZIMUTHS = 48  # cells around
-LAYERS = 8  # cans beyond the mount's own rim, `CELL` apart: what lies 40 mm away counts as the body
+LAYERS = 8  # cans beyond the mount's own rim, `CELL` apart: what lies so far away counts as the body
+PIECE = 0.10  # least share of a bone that is its body; a smaller piece beyond the cans is a lump that nothing holds
+COARSE = 2  # samples of the bone to one of the lattice on which pieces are told apart
 CUTS = (0, 1, 2, 4, 7)  # layers at which a section is taken
 SEEN = 0.25  # least filled share of a cell whose stress counts
 BODY_SHARE = 0.5  # of a bone that lies within the sections; the rest is the body that holds them
@@ -97,6 +100,25 @@ def superposed(response: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Shell:
+    """The cells of a can around a mount, in rows along its meridian.
+
+    Attributes:
+        z, r: layer and ring of every row, (n,).
+        z_inner, r_inner: of the nearest row of the next smaller can, (n,).
+        radius: ring of its side.
+        filled: the cells that count, (n, AZIMUTHS).
+    """
+
+    z: Index
+    r: Index
+    z_inner: Index
+    r_inner: Index
+    radius: int
+    filled: Mask
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Sections:
     """One bone sampled about a hinge axis, as far as any offset and any section of it reach.
 
@@ -107,14 +129,16 @@ class Sections:
         plastic: what the bone is printed of.
         depth: of the bone at the middle of every cell [m], (height, radius, angle).
         low: lower edge of the first layer of cells [m].
-        volume: of the whole bone [m3].
+        bone: the bone itself, on a coarse lattice.
+        T_design_hinge: pose of the hinge's frame.
     """
 
     mount: Mount
     plastic: Plastic
     depth: NDArray[np.float32]
     low: float
-    volume: float
+    bone: Field
+    T_design_hinge: Array
 
     @staticmethod
     def sample(bone: Field, position: Array, axis: Array, mount: Mount, plastic: Plastic, reach: float) -> Sections:
@@ -127,7 +151,10 @@ class Sections:
         T = motor_pose(position, axis, 0.0)
         circle = _circle() @ T[:3, :2].T
         points = (position + height[:, None] * axis)[:, None, None] + radius[:, None, None] * circle
-        return Sections(mount, plastic, bone.sample(points), -half * CELL, bone.volume())
+        thin = np.ascontiguousarray(bone.values[::COARSE, ::COARSE, ::COARSE])
+        x, y, z = (c / COARSE for c in bone.corner)
+        coarse = Field(thin, (x, y, z), bone.spacing * COARSE)
+        return Sections(mount, plastic, bone.sample(points), -half * CELL, coarse, T)
 
     def safety(self, offset: float, half: Half, flipped: bool = False, least: float = 0.0) -> float:
         """Strength over the greatest stress in any section around one half of the mount; 0 where nothing holds it.
@@ -146,36 +173,75 @@ class Sections:
 
         Sections beyond the first one with more than `most` are not looked at.
         """
-        outer, low, high = span(self.mount, half)
+        outer = span(self.mount, half)[0]
         own = OWN[half] * self.mount.motor.peak_torque / (outer**2 * self.plastic.wall)
-        first, last = self._layers(offset, low, high, flipped)
-        a, b, m = first - 1, last, round((outer - self.mount.attach_radius) / CELL)
-        room = self._room(offset, half, flipped)
-        reached = np.zeros_like(room)
-        held, worst = 0.0, 0.0
-        for k in range(LAYERS):
-            if a < 0 or b >= len(room) or m >= room.shape[1]:
-                break
-            # Along a meridian of the can: out on its lower face, up its side, back on its upper face.
-            z = np.concatenate([np.full(m, a), np.arange(a, b + 1), np.full(m, b)])
-            r = np.concatenate([np.arange(m), np.full(b - a + 1, m), np.arange(m)[::-1]])
-            filled = room[z, r]
-            if k:
-                filled = _reached(filled, reached[z.clip(a + 1, b - 1), np.minimum(r, m - 1)])
-            reached[z, r] = filled
-            if k in CUTS:
-                found = self._cut(z, r, filled, m)
+        worst = 0.0
+        shells = self._shells(offset, half, flipped)
+        if shells is None:
+            return np.inf
+        for k in CUTS:
+            if k < len(shells) and NOTCH[half] * worst + own <= most:
+                found = self._cut(shells[k])
                 if found is None:
                     return np.inf
                 worst = max(worst, found)
-            elif not filled.any():
-                return np.inf
-            arc = (self.mount.attach_radius + (r + 0.5) * CELL) * (2 * np.pi / AZIMUTHS)
-            held += CELL**2 * float((filled * coverage(self.depth[z, r], CELL)).sum(axis=1) @ arc)
-            if held > BODY_SHARE * self.volume or NOTCH[half] * worst + own > most:
-                break
-            a, b, m = a - 1, b + 1, m + 1
         return NOTCH[half] * worst + own
+
+    def _shells(self, offset: float, half: Half, flipped: bool) -> list[_Shell] | None:
+        """The cans around one half of a mount, as far as half of the bone lies within, with the cells on the way there.
+
+        On the way are cells that hang together with the mount inwards and with the body outwards: a lump that only sits
+        on the mount or on the bone hands no load on. None where the mount hangs on no body.
+        """
+        outer, low, high = span(self.mount, half)
+        first, last = self._layers(offset, low, high, flipped)
+        a, b, m = first - 1, last, round((outer - self.mount.attach_radius) / CELL)
+        room = self._room(offset, half, flipped)
+        marks = np.zeros_like(room)
+        shells: list[_Shell] = []
+        held, most = 0.0, BODY_SHARE * self.bone.volume()
+        while len(shells) < LAYERS and held <= most and a >= 0 and b < len(room) and m < room.shape[1]:
+            # Along a meridian of the can: out on its lower face, up its side, back on its upper face.
+            z = np.concatenate([np.full(m, a), np.arange(a, b + 1), np.full(m, b)])
+            r = np.concatenate([np.arange(m), np.full(b - a + 1, m), np.arange(m)[::-1]])
+            shell = _Shell(z, r, z.clip(a + 1, b - 1), np.minimum(r, m - 1), m, room[z, r])
+            if shells:
+                shell = replace(shell, filled=_linked(shell.filled, marks[shell.z_inner, shell.r_inner]))
+            if not shell.filled.any():
+                return None
+            marks[z, r] = shell.filled
+            shells.append(shell)
+            arc = (self.mount.attach_radius + (r + 0.5) * CELL) * (2 * np.pi / AZIMUTHS)
+            held += CELL**2 * float((shell.filled * coverage(self.depth[z, r], CELL)).sum(axis=1) @ arc)
+            a, b, m = a - 1, b + 1, m + 1
+        if not shells:
+            return None
+        outermost = shells[-1]
+        shells[-1] = replace(outermost, filled=outermost.filled & self._body(outermost))
+        marks[:] = False
+        for k in range(len(shells) - 1, 0, -1):
+            shell, inner = shells[k], shells[k - 1]
+            np.logical_or.at(marks, (shell.z_inner, shell.r_inner), shell.filled)
+            shells[k - 1] = replace(inner, filled=_linked(inner.filled, marks[inner.z, inner.r]))
+        return shells
+
+    def _body(self, shell: _Shell) -> Mask:
+        """The cells of a can next to a large piece of the bone beyond it."""
+        T, bone = self.T_design_hinge, self.bone
+        radial, along = cylindrical(bone.axes(), T[:3, 3], T[:3, 2])
+        edge = self.low + (shell.z.min() + 0.5) * CELL, self.low + (shell.z.max() + 0.5) * CELL
+        side = self.mount.attach_radius + (shell.radius + 0.5) * CELL
+        solid = bone.values > 0
+        outside = (radial > side) | (along < edge[0]) | (along > edge[1])
+        pieces, _ = ndimage.label(solid & outside)
+        sizes = np.bincount(pieces.ravel())
+        sizes[0] = 0
+        large = ndimage.binary_dilation(sizes[pieces] >= PIECE * solid.sum())
+        radius = self.mount.attach_radius + (shell.r + 0.5) * CELL
+        flat = radius[:, None, None] * (_circle() @ T[:3, :2].T)
+        points = T[:3, 3] + flat + (self.low + (shell.z + 0.5) * CELL)[:, None, None] * T[:3, 2]
+        index = np.rint((points - bone.origin) / bone.spacing).astype(int).clip(0, np.array(large.shape) - 1)
+        return np.asarray(large[tuple(np.moveaxis(index, -1, 0))], bool)
 
     def _layers(self, offset: float, low: float, high: float, flipped: bool) -> tuple[int, int]:
         """The first layer of cells inside of two heights of the motor frame, and the first one beyond."""
@@ -190,15 +256,15 @@ class Sections:
         room[max(first, 0) : max(last, 0), : int(np.ceil((outer - self.mount.attach_radius) / CELL - 1e-9))] = False
         return room
 
-    def _cut(self, z: Index, r: Index, filled: Mask, m: int) -> float | None:
+    def _cut(self, shell: _Shell) -> float | None:
         """The greatest stress in one section [Pa]; None where it cannot carry a couple."""
-        along, around = np.nonzero(filled)
+        along, around = np.nonzero(shell.filled)
         if len(along) < 4:
             return None
-        z, r = z[along], r[along]
+        z, r = shell.z[along], shell.r[along]
         radius = self.mount.attach_radius + (r + 0.5) * CELL
         circle = _circle()[around]
-        side = (r == m).astype(np.float64)
+        side = (r == shell.radius).astype(np.float64)
         normal = np.column_stack([circle * side[:, None], 1.0 - side])
         depth = self.depth[z, r, around]
         arc = radius * (2 * np.pi / AZIMUTHS)
@@ -261,9 +327,9 @@ def _circle() -> Array:
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _reached(filled: Mask, inner: Mask) -> Mask:
-    """The cells of a can that hang on the cells of the can within, directly or over two cells of their own."""
-    found = filled & _spread(inner)
+def _linked(filled: Mask, next_to: Mask) -> Mask:
+    """The cells of a can that hang on marked ones, directly or over two cells of their own."""
+    found = filled & _spread(next_to)
     for _ in range(2):
         found = filled & _spread(found)
     return found
