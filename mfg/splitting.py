@@ -28,6 +28,7 @@ from mfg.stl import torn_edges, welded
 
 STEEPEST = np.pi / 3  # most that a tunnel may lean from the normal of a cut that it crosses [rad]
 MOST_CUTS = 48  # tried along one direction
+_SPARE = 3  # cuts whose parts touch themselves, before the first of them is taken
 _FAR = 3.0  # half edge of the box that stands for half of space [m]
 _PIECE = re.compile(r"_(?:bone|skin_\d+)_(\d+)$")
 
@@ -174,15 +175,20 @@ class SplitSolver:
         fitting = [cut for cut, size in zip(cuts, extents, strict=True) if (np.sort(size, axis=1) <= room).all()]
         longest = [float(np.round(size.max(), 3)) for size in extents]
         rest = [cuts[k] for k in np.argsort(longest, kind="stable")][: self.tries]
-        spare = None
+        spare: list[list[tuple[Solid, list[Solid]]]] = []
         for cut in (*fitting, *rest):
             halves = self._made(solids, cut)
-            if halves is not None and all(_closed(solid) for half in halves for solid in (half[0], *half[1])):
+            if halves is None:
+                failed += 1
+                continue
+            if all(_closed(solid) for half in halves for solid in (half[0], *half[1])):
                 return halves
-            spare = spare or halves
-            failed += 1
-        # One that touches itself can still be mended when all parts are made.
-        return spare or (
+            spare.append(halves)
+            if len(spare) == _SPARE:
+                break
+        if spare:  # What touches itself can still be mended when all parts are made.
+            return spare[0]
+        return (
             f"of {tried} flat cuts {crossing} run too near a motor or a box or along a tunnel, {bare} have no room for "
             f"two pegs with {1e3 * self.wall:.1f} mm of bone around them, {failed} leave loose pieces; bone "
             "that is thicker away from the motors would help"
