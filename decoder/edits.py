@@ -78,9 +78,7 @@ def _stepped(depth: NDArray[np.int16], more: NDArray[np.int16]) -> NDArray[np.in
     return np.clip(moved, -DEPTH_LIMIT, DEPTH_LIMIT).astype(np.int16)
 
 
-def _from_depth(
-    design: VoxelDesign, segment: int, bone: NDArray[np.int16], body: NDArray[np.int16]
-) -> VoxelDesign:  # fmt: skip
+def _from_depth(design: VoxelDesign, segment: int, bone: NDArray[np.int16], body: NDArray[np.int16]) -> VoxelDesign:
     """The design of changed depths; what is new belongs to `segment`."""
     material = np.where(bone > 0, Material.RIGID, np.where(body > 0, Material.SOFT, Material.EMPTY)).astype(np.uint8)
     label = design.segment.copy()
@@ -92,7 +90,7 @@ def _from_depth(
 
 
 def without_crumbs(design: VoxelDesign) -> VoxelDesign:
-    """Only the largest piece of each segment; smaller ones become soft tissue of it."""
+    """Only the largest piece of each segment; smaller ones become soft tissue of the nearest bone."""
     return _softened(design, _crumbs(design))
 
 

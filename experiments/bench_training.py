@@ -123,8 +123,8 @@ def reference() -> Model:
 
 def fresh(model: Model, seed: int, nthread: int = 1, settings: Any = None) -> tuple[Watched, Learner]:
     """Environment and learner of a free start at rest with heading 0; the learner has made one update to warm up."""
-    from sim.closed_loop import default_pose
     from sim.learning import Learner
+    from sim.model import default_pose
     from sim.training import Start, Training, environment_of
 
     plan = Training(seed, ppo=_settings() if settings is None else settings)

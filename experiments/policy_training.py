@@ -133,8 +133,8 @@ def _start(config: Policy, model: Model, workers: int) -> Start:
     """Which way is forward, and whether a gait is corrected: what learns fastest in a short race."""
     from evo.pool import Pool
     from mfg.outcome import Failure
-    from sim.closed_loop import default_pose
     from sim.gaits import SCREENING, search_gait
+    from sim.model import default_pose
     from sim.rollout import Diverged
     from sim.training import Race, Start, starts
 

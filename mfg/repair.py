@@ -95,7 +95,7 @@ def repaired(design: VoxelDesign, judge: Judge, rounds: int = ROUNDS) -> Repair:
 
 
 def progress(outcome: Outcome) -> float:
-    """How far a body got: the place of the stage that refused it, more for every joint that has its motor already."""
+    """How far a body got: the place of the stage that refused it, a little more for every solver that ran."""
     if outcome.failure is None:
         return float(len(STAGES))
     return float(STAGES.index(outcome.failure.stage)) + min(len(outcome.seconds), 99) / 100

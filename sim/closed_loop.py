@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim.actor import Actor, Gait, Perceptron, low_pass, smooth_step
 from sim.herd import Herd
-from sim.model import Model, drive_of, model_name
+from sim.model import Model, default_pose, model_name
 from sim.observation import ObservationLayout, in_link_axes
 from sim.randomisation import Draws, apply, nominal, push, pushed
 from sim.rollout import LEAD_IN, Rollouts, roll_out, root_quaternion, settle, turned
@@ -59,12 +59,6 @@ class Senses:
         """Measure all copies; gives the observations, (count, layout.size)."""
         self.observation = self.layout.push(self.observation, self.frame(herd, rng))
         return self.observation
-
-
-def default_pose(model: Model) -> Array:
-    """Targets that hold a robot as it was built, 0 or the nearest angle in range [rad], (n,)."""
-    low, high = drive_of(model).range.T
-    return np.clip(0.0, low, high)
 
 
 def roll_out_actor(

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.actor import Gait, smooth_step
-from sim.closed_loop import Senses, default_pose
+from sim.closed_loop import Senses
 from sim.herd import Herd
-from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, body_length, drive_of
+from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, body_length, default_pose, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import Randomisation, apply, draw, nominal, push, pushed
 from sim.rollout import CONTROL_PERIOD, FALL_TILT, GRAVITY, LEAD_IN, root_quaternion, settle, turned

@@ -228,6 +228,12 @@ def drive_of(model: Model) -> Drive:
     )
 
 
+def default_pose(model: Model) -> NDArray[np.float64]:
+    """Targets that hold a robot as it was built, 0 or the nearest angle in range [rad], (n,)."""
+    low, high = drive_of(model).range.T
+    return np.clip(0.0, low, high)
+
+
 def model_name(model: Model) -> str:
     """The name a model was compiled under."""
     return bytes(model.names).split(b"\0", 1)[0].decode()

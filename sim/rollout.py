@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mfg.description import Description
 from sim.actor import Gait, smooth_step
-from sim.model import Model, body_length, compile_model, drive_of, model_name
+from sim.model import Model, body_length, compile_model, default_pose, drive_of, model_name
 
 CONTROL_PERIOD = 0.02  # targets change at 50 Hz [s]
 SETTLE = 6.0  # at most so long a robot may drop, topple and rock before any gait [s]
@@ -176,8 +176,7 @@ def roll_out(
     at = np.arange(lead + length) * CONTROL_PERIOD
     fade = smooth_step(at / LEAD_IN)[:, None]
     # As the robot does: within each joint's range, and from the pose in which it was built.
-    low, high = drive_of(model).range.T
-    default = np.clip(0.0, low, high)
+    default, (low, high) = default_pose(model), drive_of(model).range.T
     control = np.stack([default + fade * (np.clip(gait.targets(at), low, high) - default) for gait in gaits])
     substeps = _steps(model, CONTROL_PERIOD)
     simulations = batch.Batch(model, nsim=len(gaits), nthread=nthread, persistent=True)

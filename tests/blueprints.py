@@ -88,3 +88,13 @@ def three_motor_robot() -> Blueprint:
     answer = ElectronicsSolver().solve(blueprint_of(bones, seats))
     assert isinstance(answer, Blueprint), str(answer)
     return answer
+
+
+def turned(hinge: Hinge, angle: float) -> NDArray[np.float64]:
+    """Rigid motion of the child when its joint stands at `angle` (Rodrigues)."""
+    a = hinge.axis
+    K = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    T[:3, 3] = hinge.position - T[:3, :3] @ hinge.position
+    return T

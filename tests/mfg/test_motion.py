@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from blueprints import turned
 from scipy import ndimage
 
 from decoder.design import VoxelDesign
-from mfg.blueprint import Blueprint, Hinge
+from mfg.blueprint import Blueprint
 from mfg.bones import BoneSolver
 from mfg.motion import CylindricalPair, MotionSolver, _running_maximum
 from mfg.outcome import Failure, Reason, Stage
@@ -26,16 +26,6 @@ def boned(design: VoxelDesign) -> Blueprint:
         assert isinstance(answer, Blueprint), answer
         blueprint = answer
     return blueprint
-
-
-def turned(hinge: Hinge, angle: float) -> NDArray[np.float64]:
-    """Rigid motion of the child when its joint stands at `angle` (Rodrigues)."""
-    a = hinge.axis
-    K = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
-    T = np.eye(4)
-    T[:3, :3] = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-    T[:3, 3] = hinge.position - T[:3, :3] @ hinge.position
-    return T
 
 
 def test_interference_equals_the_exact_boolean(elbow: VoxelDesign) -> None:

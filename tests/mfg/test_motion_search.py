@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from blueprints import turned
 
 from decoder.design import VoxelDesign
-from mfg.blueprint import Blueprint, Hinge
+from mfg.blueprint import Blueprint
 from mfg.bones import BoneSolver
 from mfg.motion import MotionSolver
 from mfg.motion_search import SearchMotionSolver
@@ -29,16 +29,6 @@ def boned(design: VoxelDesign) -> Blueprint:
         assert isinstance(answer, Blueprint), answer
         blueprint = answer
     return blueprint
-
-
-def turned(hinge: Hinge, angle: float) -> NDArray[np.float64]:
-    """Rigid motion of the child when its joint stands at `angle` (Rodrigues)."""
-    a = hinge.axis
-    K = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
-    T = np.eye(4)
-    T[:3, :3] = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-    T[:3, 3] = hinge.position - T[:3, :3] @ hinge.position
-    return T
 
 
 @pytest.mark.parametrize("name", ["elbow", "creature"])

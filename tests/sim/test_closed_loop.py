@@ -13,9 +13,9 @@ from policies import action_map, holding, oscillator, perceptron
 
 from mfg.description import Description
 from sim.actor import Gait, low_pass, smooth_step
-from sim.closed_loop import Senses, default_pose, roll_out_actor, roll_out_policy
+from sim.closed_loop import Senses, roll_out_actor, roll_out_policy
 from sim.herd import Herd, with_latency_room
-from sim.model import IMU, Model, compile_model, make_spec
+from sim.model import IMU, Model, compile_model, default_pose, make_spec
 from sim.observation import ObservationLayout
 from sim.randomisation import RANDOMISED, Draws, Noise, draw, nominal
 from sim.rollout import CONTROL_PERIOD, LEAD_IN, Rollouts, measure, roll_out, settle
