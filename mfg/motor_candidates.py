@@ -15,6 +15,7 @@ from mfg.scores import mount_balance
 from mfg.strength import CELL, Half, Plastic, Sections, span
 
 Array = NDArray[np.float64]
+FAR = 0.10  # beyond this distance a bone's depth field says only that it is far [m]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,6 +29,7 @@ class Candidates:
         seats: best score first, at every offset in every kind: assignment and direction.
         few: those of them that stand for their neighbours.
         nearest: the seat that holds best on its worse side, good enough or not.
+        tried: every seat, if none of them is any good.
         sections: its two bodies' bones, sampled for the strength.
         known: safety factor and weaker body of the seats that were asked for.
     """
@@ -38,6 +40,7 @@ class Candidates:
     seats: list[MotorSeat]
     few: list[int]
     nearest: MotorSeat
+    tried: list[MotorSeat]
     sections: dict[int, Sections]
     known: dict[int, tuple[float, int]] = field(default_factory=dict)
 
@@ -62,6 +65,7 @@ class Candidates:
         bones = {body: blueprint.bodies[body].bone for body in (hinge.parent, hinge.body)}
         rings = {body: scan.rings(bone, hinge, mount) for body, bone in bones.items()}
         found: list[MotorSeat] = []
+        tried: list[MotorSeat] = []
         nearest: MotorSeat | None = None
         for flipped in (False, True):
             base = motor_pose(hinge.position, -hinge.axis if flipped else hinge.axis, 0.0)
@@ -77,10 +81,12 @@ class Candidates:
                     return MotorSeat(index, h, c, float(offsets[k]), T, float(a[k]), float(b[k]), score)
 
                 worse = np.minimum(V_h, V_c)
-                # Among equals the smaller offset.
-                top = int(np.lexsort((np.abs(offsets), -worse))[0])
-                if nearest is None or worse[top] > min(nearest.holder_volume, nearest.connector_volume):
-                    nearest = seat(top)
+                # Among equals the one that at least one bone holds best, then the smaller offset.
+                top = seat(int(np.lexsort((np.abs(offsets), -V_h - V_c, -worse))[0]))
+                if nearest is None or _hold(top) > _hold(nearest):
+                    nearest = top
+                if not (worse > 0).any():
+                    tried += [seat(k) for k in range(len(offsets))]
                 found += [seat(k) for k in np.flatnonzero(worse >= scan.min_overlap).tolist()]
         assert nearest is not None
         found.sort(key=lambda s: (-s.score, abs(s.offset)))
@@ -88,7 +94,7 @@ class Candidates:
             body: Sections.sample(bone, hinge.position, hinge.axis, mount, plastic, scan.scan)
             for body, bone in bones.items()
         }
-        return Candidates(index, hinge, mount, found, _few(found, hinge, spread, most), nearest, sections)
+        return Candidates(index, hinge, mount, found, _few(found, hinge, spread, most), nearest, tried, sections)
 
     def of_plastic(self, plastic: Plastic) -> Candidates:
         """The same seats in bones of another plastic."""
@@ -142,7 +148,21 @@ class Candidates:
         levels = sorted((seat.offset + sign * z - sections.low) / CELL for z in (low, high))
         rings = math.ceil((outer - self.mount.attach_radius) / CELL)
         near = sections.depth[int(levels[0]) : math.ceil(levels[1]), :rings]
-        return max(0.0, -float(near.max()))
+        return min(FAR, max(0.0, -float(near.max())))
+
+    def closest(self) -> MotorSeat:
+        """The seat whose farther bone is nearest, of all offsets and kinds: what comes closest where none holds."""
+        if min(_hold(self.nearest)) > 0:
+            return self.nearest
+        return min(
+            self.tried,
+            key=lambda seat: (max(self.distance(seat, "holder"), self.distance(seat, "connector")), abs(seat.offset)),
+        )
+
+
+def _hold(seat: MotorSeat) -> tuple[float, float]:
+    """What a seat shares with its bones: on its worse side, and in all [m3]."""
+    return min(seat.holder_volume, seat.connector_volume), seat.holder_volume + seat.connector_volume
 
 
 def _few(seats: list[MotorSeat], hinge: Hinge, spread: float, most: int) -> list[int]:

@@ -25,6 +25,7 @@ from mfg.strength import BENDING_SHARE, LAYER_STRENGTH, Half, Plastic
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FUSED = 5.0e-7  # what the exact solids of a mount and its bone must share to be one part: a cube of 8 mm [m3]
+CLOSE_LOOKS = 6  # seats of a hopeless joint among which the strongest is sought
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,10 @@ class SearchMotorSolver:
             joints.append(joint)
         # A few seats for each joint first: nearly always enough, and much faster than all of them.
         answer = self._choice(blueprint, joints, every=False)
-        if isinstance(answer, Failure):
+        if isinstance(answer, Stuck):
             answer = self._choice(blueprint, joints, every=True)
-        if isinstance(answer, Failure):
-            return answer
+        if isinstance(answer, Stuck):
+            return self._stuck(blueprint, joints, answer)
         for walls in range(catalogue.rigid.walls, most):
             thinner = [joint.of_plastic(self._plastic(catalogue, walls)) for joint in joints]
             if all(j.safety(k, self.min_safety) >= self.min_safety for j, k in zip(thinner, answer, strict=True)):
@@ -111,8 +112,8 @@ class SearchMotorSolver:
     def _plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
         return Plastic.of(replace(catalogue.rigid, walls=walls), catalogue.printer, self.strength)
 
-    def _choice(self, blueprint: Blueprint, joints: list[Candidates], *, every: bool) -> list[int] | Failure:
-        """The best combination of the joints' seats, or why there is none.
+    def _choice(self, blueprint: Blueprint, joints: list[Candidates], *, every: bool) -> list[int] | Stuck:
+        """The best combination of the joints' seats, or where the search got stuck.
 
         Out of a few of them, and such that motors are clearly apart, or out of `every` seat, told apart exactly.
         """
@@ -143,7 +144,7 @@ class SearchMotorSolver:
 
         answer = choose([np.array([s.score for s in some]) for some in seats], possible, clear, accept, steps)
         if isinstance(answer, Stuck):
-            return self._stuck(blueprint, joints, poses, answer)
+            return answer
         return [some[k] for some, k in zip(open_seats, answer, strict=True)]
 
     def _cut(self, body: Body, blueprint: Blueprint, seat: MotorSeat, index: int, mount: Mount) -> Body | None:
@@ -169,8 +170,12 @@ class SearchMotorSolver:
 
     def _too_far(self, blueprint: Blueprint, joint: Candidates) -> Failure:
         """No offset at which both halves would even fuse with their bones."""
-        seat = joint.nearest
-        half: Half = "holder" if seat.holder_volume <= seat.connector_volume else "connector"
+        seat = joint.closest()
+        lacking: dict[Half, tuple[float, float]] = {
+            "holder": (seat.holder_volume, -joint.distance(seat, "holder")),
+            "connector": (seat.connector_volume, -joint.distance(seat, "connector")),
+        }
+        half = min(lacking, key=lambda h: lacking[h])
         body = seat.holder if half == "holder" else seat.connector
         short = self.min_overlap - min(seat.holder_volume, seat.connector_volume)
         away = joint.distance(seat, half)
@@ -189,7 +194,7 @@ class SearchMotorSolver:
                  remedy="grow_near_joint"),
         )  # fmt: skip
 
-    def _stuck(self, blueprint: Blueprint, joints: list[Candidates], poses: list[Array], stuck: Stuck) -> Failure:
+    def _stuck(self, blueprint: Blueprint, joints: list[Candidates], stuck: Stuck) -> Failure:
         joint = joints[stuck.joint]
         strong = [k for k, (safety, _) in joint.known.items() if safety >= self.min_safety]
         if stuck.other is None and not strong:
@@ -204,23 +209,34 @@ class SearchMotorSolver:
             )
         other = joints[stuck.other]
         mount = mount_of(blueprint.catalogue.motor)
-        widest = max(float(Clearance.of(T, poses[stuck.other], mount).distance.max()) for T in poses[stuck.joint])
+        fit = [self._not_weak(j) for j in (joint, other)]
+        widest = max((float(Clearance.of(T, fit[1], mount).distance.max()) for T in fit[0]), default=-np.inf)
         short = self.gap - widest
         need = max(short, 0.0)
-        far = f"by {1e3 * need:.0f} mm or more" if need > 0 else "together with the other motors"
+        apart = 1e3 * max(need, blueprint.design.pitch)
+        how = (
+            f"run into each other by {1e3 * need:.0f} mm at least" if need > 0 else "or a third one run into each other"
+        )
         return Failure(
             Stage.MOTOR,
             Reason.MOTOR_COLLISION,
-            f"{joint.hinge.name} and {other.hinge.name}: wherever their mounts are strong enough their motors come too "
-            f"near to each other {far}; move the two joints apart by {1e3 * max(need, blueprint.design.pitch):.0f} mm",
+            f"{joint.hinge.name} and {other.hinge.name}: wherever their mounts are strong enough, their motors {how}; "
+            f"move the two joints apart by {apart:.0f} mm",
             Miss(Stage.MOTOR, joint.index, short_length=need, remedy="move_joints_apart", other=other.index),
         )
 
+    def _not_weak(self, joint: Candidates) -> Array:
+        """Poses of a joint's seats but for those that were found too weak."""
+        weak = {k for k, (safety, _) in joint.known.items() if safety < self.min_safety}
+        return np.array([seat.T_design_motor for k, seat in enumerate(joint.seats) if k not in weak]).reshape(-1, 4, 4)
+
     def _too_weak(self, blueprint: Blueprint, joint: Candidates) -> Failure:
         """Mounts that fuse, but would break."""
-        k = max(joint.known, key=lambda at: (joint.known[at][0], -at))
-        seat = joint.seats[k]
-        safety, body = joint.weaker(seat)
+        # What is known of a weak seat is at most as bad as it is: look closely at the most promising ones.
+        promising = sorted(joint.known, key=lambda k: (-joint.known[k][0], k))[:CLOSE_LOOKS]
+        closely = {k: joint.weaker(joint.seats[k]) for k in promising}
+        best = max(promising, key=lambda k: (closely[k][0], -k))
+        seat, (safety, body) = joint.seats[best], closely[best]
         torque = blueprint.catalogue.motor.peak_torque
         name, segment = blueprint.bodies[body].name, blueprint.bodies[body].segment
         voxels = 1 if safety >= self.min_safety / 2 else 2

@@ -9,7 +9,7 @@ cut. `mfg.mount_elasticity` computes the same with finite elements; `NOTCH` cove
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -131,6 +131,7 @@ class Sections:
         low: lower edge of the first layer of cells [m].
         bone: the bone itself, on a coarse lattice.
         T_design_hinge: pose of the hinge's frame.
+        known: shells that were found, which do not depend on the plastic.
     """
 
     mount: Mount
@@ -139,6 +140,7 @@ class Sections:
     low: float
     bone: Field
     T_design_hinge: Array
+    known: dict[tuple[float, Half, bool], list[_Shell] | None] = field(default_factory=dict)
 
     @staticmethod
     def sample(bone: Field, position: Array, axis: Array, mount: Mount, plastic: Plastic, reach: float) -> Sections:
@@ -176,7 +178,10 @@ class Sections:
         outer = span(self.mount, half)[0]
         own = OWN[half] * self.mount.motor.peak_torque / (outer**2 * self.plastic.wall)
         worst = 0.0
-        shells = self._shells(offset, half, flipped)
+        key = offset, half, flipped
+        if key not in self.known:
+            self.known[key] = self._shells(offset, half, flipped)
+        shells = self.known[key]
         if shells is None:
             return np.inf
         for k in CUTS:
@@ -231,7 +236,7 @@ class Sections:
         radial, along = cylindrical(bone.axes(), T[:3, 3], T[:3, 2])
         edge = self.low + (shell.z.min() + 0.5) * CELL, self.low + (shell.z.max() + 0.5) * CELL
         side = self.mount.attach_radius + (shell.radius + 0.5) * CELL
-        solid = bone.values > 0
+        solid = bone.values > -bone.spacing / 4  # a thin limb must not fall through the lattice
         outside = (radial > side) | (along < edge[0]) | (along > edge[1])
         pieces, _ = ndimage.label(solid & outside)
         sizes = np.bincount(pieces.ravel())
