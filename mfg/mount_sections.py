@@ -44,8 +44,8 @@ SEEN = 0.25  # least filled share of a cell whose stress counts
 # What sections cannot see: stress at corners over that of sections, and the stress of the mount itself, whose walls
 # bend as they hand the load over, in units of the peak torque over its radius squared and the walls' thickness.
 # Fitted to finite elements of 5 mm on random mounts in random bodies: 70 with 3 walls (rank correlation 0.92, strength
-# here over strength there 0.43, 0.65, 0.96 at the quantiles 5, 50, 95 %) and 64 with 6 walls (0.85; 0.35, 0.64, 1.03).
-# Of 66 with a safety factor of 2 or more here, one had less there (1.8). Elements of 3 mm say about a tenth less than 5 mm.
+# here over strength there 0.43, 0.65, 0.96 at quantiles 5, 50, 95 %), 64 with 6 walls (0.85; 0.35, 0.64, 1.03).
+# Of 66 with a safety factor of 2 or more here, one had less there (1.8). Elements of 3 mm say a tenth less than 5 mm.
 NOTCH: dict[Half, float] = {"holder": 2.0, "connector": 1.3}
 OWN: dict[Half, float] = {"holder": 1.38, "connector": 1.68}
 
