@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Hinge, MotorSeat
 from mfg.motors import MotorSolver
+from mfg.mount_sections import CELL, Sections
 from mfg.mounts import Mount, motor_pose, mount_of
 from mfg.scores import mount_balance
-from mfg.strength import CELL, Half, Plastic, Sections, span
+from mfg.strength import Half, Plastic, span
 
 Array = NDArray[np.float64]
 FAR = 0.10  # beyond this distance a bone's depth field says only that it is far [m]

@@ -56,14 +56,16 @@ class Clearance:
         cosine, ahead, back = _dot(z, w), _dot(between, z), _dot(between, w)
         # The nearest points of two segments, by alternating projection: near enough to propose a direction.
         s = np.zeros(cosine.shape)
-        for _ in range(4):
+        for _ in range(3):
             t = np.clip(s * cosine - back, -half, half)
             s = np.clip(t * cosine + ahead, -half, half)
         near = s[..., None] * z
         shortest = between + t[..., None] * w - near
+        normal = np.stack([z[:, 1] * w[:, 2] - z[:, 2] * w[:, 1], z[:, 2] * w[:, 0] - z[:, 0] * w[:, 2],
+                           z[:, 0] * w[:, 1] - z[:, 1] * w[:, 0]], axis=1)  # fmt: skip
         distance = np.full(cosine.shape, -np.inf)
-        for way in (z, w, np.cross(z, w), between, shortest):
-            length = np.linalg.norm(way, axis=-1)
+        for way in (z, w, normal, between, shortest):
+            length = np.sqrt(_dot(way, way))
             n = way / np.maximum(length, 1e-12)[..., None]
             shadows = np.zeros(cosine.shape)
             for axis in (z, w):
@@ -72,18 +74,17 @@ class Clearance:
             distance = np.where(length > 1e-9, np.maximum(distance, np.abs(_dot(between, n)) - shadows), distance)
         meet = np.zeros(cosine.shape, bool)
         slim = min(mount.holder_radius, mount.connector_radius)
-        for share in (0.3, 0.4, 0.5, 0.6, 0.7):
-            for point in (share * between, near + share * shortest):
-                both = np.ones(cosine.shape, bool)
-                for axis, from_it in ((z, point), (w, point - between)):
-                    along = _dot(from_it, axis)
-                    both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along**2 < slim**2)
-                meet |= both
+        for point in (0.5 * between, near + 0.3 * shortest, near + 0.5 * shortest, near + 0.7 * shortest):
+            both = np.ones(cosine.shape, bool)
+            for axis, from_it in ((z, point), (w, point - between)):
+                along = _dot(from_it, axis)
+                both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along**2 < slim**2)
+            meet |= both
         return Clearance(distance, meet)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray((a * b).sum(axis=-1), np.float64)
+    return np.asarray(np.einsum("ni,ni->n", a, b), np.float64)
 
 
 def choose(

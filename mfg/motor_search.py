@@ -59,7 +59,7 @@ class SearchMotorSolver:
     min_safety: float = 2.0
     min_overlap: float = 2 * FUSED
     strength: float = LAYER_STRENGTH
-    most_walls: int = 6
+    most_walls: int = 8
     alpha: float = MotorSolver.alpha
     scan: float = 0.080
     step: float = 2.0e-3
@@ -157,16 +157,18 @@ class SearchMotorSolver:
             high = max(high, mount.holder_top + mount.motor.length + LIFT)
         hinge, pointing = blueprint.hinges[seat.hinge], blueprint.pointing(seat)
         low, high = sorted((seat.offset + pointing * low, seat.offset + pointing * high))
-        bone = body.bone
+        bone, skin = body.bone, body.skin
         for start, end in ((low, -self.cut_half_length), (self.cut_half_length, high)):
             if end <= start or not _fills(bone, hinge.position, hinge.axis, mount.attach_radius, start, end):
                 continue
             middle = hinge.position + (start + end) / 2 * hinge.axis
             bone = cut_cylinder(bone, middle, hinge.axis, mount.attach_radius, (end - start) / 2)
+            if skin is not None:  # Where the bone was, the skin must not fill in.
+                skin = cut_cylinder(skin, middle, hinge.axis, mount.attach_radius, (end - start) / 2)
         if bone is body.bone:
             return body
         kept, lost = largest_piece(bone)
-        return None if lost > self.max_loss else replace(body, bone=kept)
+        return None if lost > self.max_loss else replace(body, bone=kept, skin=skin)
 
     def _too_far(self, blueprint: Blueprint, joint: Candidates) -> Failure:
         """No offset at which both halves would even fuse with their bones."""

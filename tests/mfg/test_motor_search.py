@@ -17,12 +17,13 @@ from mfg.finish import FinishSolver
 from mfg.motion import MotionSolver
 from mfg.motor_search import FUSED, SearchMotorSolver
 from mfg.motors import MotorSolver, envelopes_meet
+from mfg.mount_sections import Sections
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import J60_6, PAPER
 from mfg.skeleton import SkeletonSolver
 from mfg.skins import SkinSolver
-from mfg.strength import Plastic, Sections
+from mfg.strength import Plastic
 
 MOUNT = mount_of(J60_6)
 Y = np.array([0.0, 1.0, 0.0])
@@ -158,7 +159,7 @@ def test_walls_grow_only_as_far_as_the_mounts_need(creature: VoxelDesign) -> Non
     assert not strong.notes
     found = solved(creature)
     walls = found.catalogue.rigid.walls
-    assert PAPER.rigid.walls <= walls <= 6
+    assert PAPER.rigid.walls <= walls <= SearchMotorSolver.most_walls
     if walls > PAPER.rigid.walls:
         assert any(f"{walls} walls" in note for note in found.notes)
 
