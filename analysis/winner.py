@@ -77,13 +77,14 @@ def bill(run: RunFolder) -> str:
     masses = [_number(row.get("mass_g")) for row in rows]
     cells.append(("", "everything", "", f"{sum(mass for mass in masses if mass is not None):.0f} g"))
     parts = blueprint.get("parts", [])
-    plates = {body.get("plate") for body in blueprint.get("bodies", [])}
+    objects = blueprint.get("pieces") or blueprint.get("bodies", [])  # printed as one: bodies, pieces of them, lids
+    plates = {laid.get("plate") for laid in objects}
     text = ""
     if parts:
         soft = sum(part.get("material") == "soft" for part in parts)
         text = (
-            f"{len(parts)} printed parts in {len(blueprint.get('bodies', []))} bodies, {len(parts) - soft} rigid and "
-            f"{soft} soft, on {len(plates)} plate{'s' if len(plates) != 1 else ''} of the "
+            f"{len(parts)} printed parts in {len(objects)} objects, {len(parts) - soft} rigid and {soft} soft, "
+            f"on {len(plates)} plate{'s' if len(plates) != 1 else ''} of the "
             f"{blueprint.get('catalogue', {}).get('printer', {}).get('name', 'printer')}."
         )
     return page.section(

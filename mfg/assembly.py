@@ -12,9 +12,9 @@ from typing import Literal
 
 from mfg.blueprint import Blueprint
 from mfg.masses import wire_stretches
-from mfg.ways import TOOLS, Leg, Scene, Way, box_way, join_way, motor_way, tool_room
+from mfg.ways import TOOLS, Leg, Scene, Way, box_way, join_way, lid_way, motor_way, tool_room
 
-Kind = Literal["place", "cable", "motor", "body_screws", "join", "output_screws", "box"]
+Kind = Literal["place", "cable", "motor", "body_screws", "join", "output_screws", "box", "lid"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -23,9 +23,9 @@ class Step:
 
     Attributes:
         kind: what is done: a printed body is taken to the bench, a cable drawn in, a motor or a box put in, a body
-            pushed onto a motor's output, screws driven.
+            pushed onto a motor's output, screws driven, a lid put on and screwed down.
         body: index of the body that receives it; of a join, the one that stays.
-        index: of the seat (cable, motor, screws, join) or box; of the body where one is placed.
+        index: of the seat (cable, motor, screws, join), box or lid; of the body where one is placed.
         adds: names of all parts that this step brings in, as in `part_names`.
         moved: bodies that move in a join, with everything in them.
         legs: the way in, first leg first; empty where none is checked (place, cable, screws).
@@ -56,6 +56,7 @@ def part_names(blueprint: Blueprint) -> tuple[str, ...]:
     hinges = [blueprint.hinges[seat.hinge].name for seat in blueprint.seats]
     return (
         *(part.name for part in blueprint.parts),
+        *(f"{lid.part}_screws" for lid in blueprint.lids),
         *(f"{name}_{what}" for name in hinges for what in ("motor", "body_screws", "output_screws")),
         *(wire.name for wire in blueprint.wires),
         *(box.kind for box in blueprint.boxes),
@@ -98,7 +99,8 @@ def _taken_apart(scene: Scene) -> list[_Move]:
         for index in list(inside):
             group = next(g for g in groups if blueprint.boxes[index].body in g)
             way = box_way(scene, index, group, set(inside) - {index})
-            if way.free or len(group) == 1:
+            lids = [lid_way(scene, k, group).free for k, lid in enumerate(blueprint.lids) if lid.box == index]
+            if (way.free and all(lids)) or len(group) == 1:
                 inside.remove(index)
                 moves.append(_Move("box", index, group, way))
         edges = [(k, g) for g in groups for k, s in enumerate(blueprint.seats) if {s.holder, s.connector} <= g]
@@ -147,6 +149,11 @@ class _Bench:
                 needs += [("cable", k) for k in range(len(blueprint.wires)) if ("cable", k) in self.made]
                 needs += [("join", s.index) for s in self.steps if s.kind == "join" and s.feeds]
             self.add(step, *needs)
+            for k, lid in enumerate(blueprint.lids):
+                if lid.box == move.index:
+                    way, adds = lid_way(self.scene, k, move.group), (lid.part, f"{lid.part}_screws")
+                    self.add(Step("lid", seat.body, k, adds, legs=way.legs, soft=way.soft, trouble=way.trouble),
+                             ("box", move.index))  # fmt: skip
             return
         k, away = move.index, self.scene.side(move.index, move.group)
         seat_k = blueprint.seats[k]
@@ -171,7 +178,9 @@ class _Bench:
         if ("place", body) in self.made:
             return
         blueprint = self.scene.blueprint
-        self.add(Step("place", body, body, tuple(p.name for p in blueprint.parts if p.body == body)))
+        lids = {lid.part for lid in blueprint.lids}
+        here = tuple(p.name for p in blueprint.parts if p.body == body and p.name not in lids)
+        self.add(Step("place", body, body, here))
         for k, seat in enumerate(blueprint.seats):
             if seat.holder != body:
                 continue

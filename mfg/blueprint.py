@@ -182,12 +182,39 @@ class WireRun:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PrintedPart:
-    """One printed solid in the design frame, exactly as it goes to the printer (build only)."""
+    """One printed solid in the design frame, exactly as it goes to the printer (build only).
+
+    Attributes:
+        name: of its file and in every table.
+        body: index of the body that it moves with.
+        material: of which of the two filaments.
+        solid: its shape.
+        piece: which printed object of the body it belongs to: "" where there is one, "1", "2", ... of a body that was
+            cut, "lid_battery" or "lid_controller".
+    """
 
     name: str
     body: int
     material: Literal["rigid", "soft"]
     solid: Solid
+    piece: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LidSeat:
+    """A lid over the opening of an electronics box (build only).
+
+    Attributes:
+        box: index into `blueprint.boxes`.
+        part: name of the printed part.
+        screws: where the heads of its screws rest [m], (n, 3); all point along -z of the box.
+        notch: middle of the notch at its edge through which leads come out, at the opening [m], (3,).
+    """
+
+    box: int
+    part: str
+    screws: NDArray[np.float64]
+    notch: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -218,6 +245,7 @@ class Blueprint:
     boxes: tuple[BoxSeat, ...] = ()
     wires: tuple[WireRun, ...] = ()
     parts: tuple[PrintedPart, ...] = ()
+    lids: tuple[LidSeat, ...] = ()
     masses: tuple[MassProperties, ...] = ()  # of each body with everything in it
     scores: Scores = field(default_factory=Scores)
     notes: tuple[str, ...] = ()  # what was repaired or dropped, for the report

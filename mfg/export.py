@@ -149,7 +149,7 @@ def blueprint_files(blueprint: Blueprint, *, guide: bool = False, step: bool = F
 
 
 def print_objects(blueprint: Blueprint, lays: list[Lay]) -> list[PrintObject]:
-    """One object per body or piece of one: its rigid and soft parts together, so that the slicer interlocks them."""
+    """One object per body, piece of one or lid: rigid and soft parts together, so that the slicer interlocks them."""
     catalogue = blueprint.catalogue
     stride = catalogue.printer.volume[0] * PLATE_STRIDE
     objects = []
@@ -219,8 +219,9 @@ def print_settings(blueprint: Blueprint, lays: list[Lay]) -> str:
     ]
     for material, extruder in EXTRUDERS.items():
         f = catalogue.rigid if material == "rigid" else catalogue.soft
+        names = "*_skin_*" if material == "soft" else "*_bone*" + (", *_lid_*" if blueprint.lids else "")
         lines.append(
-            f"Extruder {extruder}: {f.name} for parts ending in _{'bone' if material == 'rigid' else 'skin_*'}; "
+            f"Extruder {extruder}: {f.name} for parts {names}; "
             f"{f.walls} perimeter(s), {f.infill:.0%} {f.infill_pattern} infill"
         )
     lines += [

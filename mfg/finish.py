@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from mfg.blueprint import Blueprint, MotorSeat, PrintedPart
+from mfg.blueprint import Blueprint, LidSeat, MotorSeat, PrintedPart
 from mfg.exact import (
     attachment,
     body_overlap,
@@ -91,6 +91,7 @@ class FinishSolver:
             made = self._body(blueprint, index, bones[index], tunnels, mount, own)
             if isinstance(made, Failure) and own:
                 blueprint = blueprint.noted(f"{blueprint.bodies[index].name} is too weak for lids with screws")
+                lids = [lid for lid in lids if lid not in own]
                 made = self._body(blueprint, index, bones[index], tunnels, mount, [])
             if isinstance(made, Failure):
                 return made
@@ -98,6 +99,7 @@ class FinishSolver:
             parts += found
             for note in notes:
                 blueprint = blueprint.noted(note)
+        blueprint = replace(blueprint, lids=tuple(_lid_seat(blueprint, lid) for lid in lids))
         separate = self._apart(parts)
         if isinstance(separate, Failure):
             return separate
@@ -263,7 +265,12 @@ class FinishSolver:
 
 def _lid_part(blueprint: Blueprint, lid: Lid) -> PrintedPart:
     seat = blueprint.boxes[lid.seat]
-    return PrintedPart(f"{blueprint.bodies[seat.body].name}_lid_{seat.kind}", seat.body, "rigid", lid.solid)
+    piece = f"lid_{seat.kind}"
+    return PrintedPart(f"{blueprint.bodies[seat.body].name}_{piece}", seat.body, "rigid", lid.solid, piece)
+
+
+def _lid_seat(blueprint: Blueprint, lid: Lid) -> LidSeat:
+    return LidSeat(lid.seat, _lid_part(blueprint, lid).name, lid.screws, lid.notch)
 
 
 def own_mounts(blueprint: Blueprint, index: int, mount: Mount) -> list[Solid]:

@@ -28,9 +28,18 @@ from mfg.guide_prose import (
     TORQUES,
     ZERO,
 )
-from mfg.guide_scenes import box_picture, join_picture, joint_picture, motor_picture, overview, plate_picture
+from mfg.guide_scenes import (
+    box_picture,
+    join_picture,
+    joint_picture,
+    lid_picture,
+    motor_picture,
+    overview,
+    plate_picture,
+)
 from mfg.guide_style import STYLE
 from mfg.guide_text import (
+    LID_TORQUE,
     advice,
     calibration_rows,
     checklist,
@@ -44,9 +53,11 @@ from mfg.guide_text import (
     tools,
     wiring_rows,
 )
+from mfg.lids import SCREW
 from mfg.picture import blueprint_shapes
 from mfg.plate import Lay
 from mfg.render import render
+from mfg.splitting import pieces
 from mfg.wiring_diagram import wiring_diagram
 
 NAME = "guide.html"
@@ -58,7 +69,7 @@ def guide_html(blueprint: Blueprint, lays: Sequence[Lay], settings: str) -> byte
 
     Args:
         blueprint: with parts and masses.
-        lays: how each body lies on the printer.
+        lays: how each of its `pieces` lies on the printer.
         settings: the sheet of print settings, as in print_settings.txt.
 
     Raises:
@@ -85,7 +96,7 @@ def guide_html(blueprint: Blueprint, lays: Sequence[Lay], settings: str) -> byte
 
 
 def panels(steps: Sequence[Step]) -> Iterator[list[Step]]:
-    """Steps that share a picture: a motor with its cable and screws, a join with its screws, a box.
+    """Steps that share a picture: a motor with its cable and screws, a join with its screws, a box, a lid.
 
     A body that is taken to the bench belongs to the next picture.
     """
@@ -93,7 +104,9 @@ def panels(steps: Sequence[Step]) -> Iterator[list[Step]]:
     for k, step in enumerate(steps):
         panel.append(step)
         following = steps[k + 1].kind if k + 1 < len(steps) else ""
-        if step.kind == "box" or (step.kind in ("body_screws", "output_screws") and following != "output_screws"):
+        if step.kind in ("box", "lid") or (
+            step.kind in ("body_screws", "output_screws") and following != "output_screws"
+        ):
             yield panel
             panel = []
     if panel:
@@ -135,6 +148,9 @@ def _needs(blueprint: Blueprint) -> str:
     ):
         rows.append([pattern.screw, str(pattern.count * count), where, f"{tightening_torque(pattern):.2f} N.m",
                      f"{holding_torque(pattern):.0f} N.m"])  # fmt: skip
+    if blueprint.lids:
+        number = sum(len(lid.screws) for lid in blueprint.lids)
+        rows.append([SCREW, str(number), "lid to its bone, cuts its own thread", f"{LID_TORQUE:.2f} N.m", "-"])
     return (
         "<section>\n<h2>What you need</h2>\n<h3>To buy and to print</h3>\n"
         + table(*shopping_rows(blueprint))
@@ -150,15 +166,14 @@ def _needs(blueprint: Blueprint) -> str:
 def _print(stock: Stock, lays: Sequence[Lay], settings: str) -> str:
     blueprint = stock.blueprint
     cards = []
-    for index, (body, lay) in enumerate(zip(blueprint.bodies, lays, strict=True)):
-        parts = [part for part in blueprint.parts if part.body == index]
+    for piece, lay in zip(pieces(blueprint), lays, strict=True):
         size = " × ".join(f"{1e3 * s:.0f}" for s in lay.size)
         made = "; ".join(
             f"{p.name}: {(blueprint.catalogue.rigid if p.material == 'rigid' else blueprint.catalogue.soft).name}"
-            for p in parts
+            for p in piece.parts
         )
-        caption = f"<b>{escape(body.name)}</b>, plate {lay.plate + 1}<br>{size} mm as it lies<br>{escape(made)}"
-        cards.append(f"<figure>{plate_picture(stock, index, lay)}<figcaption>{caption}</figcaption></figure>")
+        caption = f"<b>{escape(piece.name)}</b>, plate {lay.plate + 1}<br>{size} mm as it lies<br>{escape(made)}"
+        cards.append(f"<figure>{plate_picture(stock, piece, lay)}<figcaption>{caption}</figcaption></figure>")
     return (
         f"<section>\n<h2>Print the parts</h2>\n<p>{escape(PLATES)}</p>\n"
         f'<div class="parts">{"".join(cards)}</div>\n<h3 class="after">Print settings</h3>\n'
@@ -192,6 +207,11 @@ def _assembly(stock: Stock, steps: Sequence[Step]) -> str:
             names = ", ".join(blueprint.bodies[b].name for b in join.moved)
             joint = blueprint.hinges[blueprint.seats[join.index].hinge].name
             title = f"{names} onto {blueprint.bodies[join.body].name} ({joint})"
+        elif last.kind == "lid":
+            group = next(g for g in groups if last.body in g)
+            picture = lid_picture(stock, last, sorted(group), inside)
+            kind = blueprint.boxes[blueprint.lids[last.index].box].kind
+            title = f"Lid over the {kind} in {blueprint.bodies[last.body].name}"
         else:
             group = next(g for g in groups if last.body in g)
             picture = box_picture(stock, last, sorted(group), inside)

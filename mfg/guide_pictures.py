@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -17,6 +17,7 @@ from mfg.blueprint import Blueprint, Transform
 from mfg.camera import project
 from mfg.catalogue import ScrewPattern
 from mfg.exact import STRAIGHT, box_solid, motor_solid, straightened
+from mfg.lids import SCREW
 from mfg.masses import wire_stretches
 from mfg.mounts import Mount, mount_of
 from mfg.picture import BATTERY, BONES, CONTROLLER, MOTOR, WIRE
@@ -34,7 +35,7 @@ NEW_BONE: Colour = (1.00, 0.74, 0.36)  # of a body that moves in a step
 NEW_SKIN: Colour = (0.96, 0.56, 0.30)
 NEW: Colour = (0.95, 0.50, 0.10)  # of a motor or box that goes in
 PALE_SKIN: Colour = (0.62, 0.74, 0.86)
-SCREW: Colour = (0.20, 0.21, 0.24)
+SCREW_COLOUR: Colour = (0.20, 0.21, 0.24)
 ARROW = "#c2255c"
 INK = "#22272b"
 COLOURS = 96  # in the palette of an image
@@ -101,13 +102,29 @@ class Stock:
         return mount_of(self.blueprint.catalogue.motor)
 
     @cached_property
+    def parts(self) -> dict[str, Shape]:
+        """What is printed, by name."""
+        return {
+            part.name: _shape(
+                part.solid.simplified(SHOWN_ERROR),
+                BONES[part.body % len(BONES)] if part.material == "rigid" else PALE_SKIN,
+            )
+            for part in self.blueprint.parts
+        }
+
+    @cached_property
     def printed(self) -> list[list[tuple[str, Shape]]]:
-        """(material, shape) of what is printed, by body."""
+        """(material, shape) of bones and skins, by body."""
         out: list[list[tuple[str, Shape]]] = [[] for _ in self.blueprint.bodies]
+        lids = {lid.part for lid in self.blueprint.lids}
         for part in self.blueprint.parts:
-            colour = BONES[part.body % len(BONES)] if part.material == "rigid" else PALE_SKIN
-            out[part.body].append((part.material, _shape(part.solid.simplified(SHOWN_ERROR), colour)))
+            if part.name not in lids:
+                out[part.body].append((part.material, self.parts[part.name]))
         return out
+
+    def lids(self, boxes: Collection[int]) -> list[Shape]:
+        """The lids over some boxes, screwed down."""
+        return [self.parts[lid.part] for lid in self.blueprint.lids if lid.box in boxes]
 
     @cached_property
     def motors(self) -> list[Shape]:
@@ -136,7 +153,19 @@ class Stock:
             solid = _screws(motor.output_screws, mount.connector_low + 6e-3, 1.0)
         else:
             solid = _screws(motor.body_screws, mount.base_low, -1.0)
-        return replace(_shape(solid.moved(self.blueprint.seats[seat].T_design_motor), SCREW), ghost=GHOST)
+        return replace(_shape(solid.moved(self.blueprint.seats[seat].T_design_motor), SCREW_COLOUR), ghost=GHOST)
+
+    def lid_screws(self, lid: int) -> Shape:
+        """A lid's screws, driven home."""
+        seat = self.blueprint.lids[lid]
+        T = self.blueprint.boxes[seat.box].T_design_box.copy()
+        size, length = screw_size(SCREW)
+        one = cylinder(0.875 * size, 0.0, size, 16) + cylinder(size / 2, -length, 0.0, 12)
+        placed = []
+        for place in seat.screws:
+            T[:3, 3] = place
+            placed.append(one.moved(T))
+        return _shape(union(placed), SCREW_COLOUR)
 
     def body(self, index: int, *, new: bool = False) -> list[Shape]:
         """The printed parts of a body, highlighted if `new`."""

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.assembly import Step
-from mfg.guide_pictures import NEW, Mark, Scenery, Stock, View, best_view, coloured, figure, pushed
+from mfg.guide_pictures import NEW, NEW_BONE, Mark, Scenery, Stock, View, best_view, coloured, figure, pushed
+from mfg.lids import SCREW
 from mfg.masses import wire_stretches
 from mfg.picture import axis_rod
 from mfg.plate import Lay
 from mfg.render import Shape
 from mfg.solids import box
+from mfg.splitting import Piece
 from mfg.ways import turned
 
 Array = NDArray[np.float64]
@@ -22,6 +24,7 @@ Array = NDArray[np.float64]
 NEAR = 0.11  # of a body that stays, so much around the motor must be in the picture [m]
 DRAWN_BACK = 0.11  # a body or box is drawn back by so much at most [m]
 SCREW_BACK = 0.035  # screws are drawn out of their holes by so much [m]
+LID_BACK = 0.025  # and a lid off what it closes [m]
 SMALL = (330, 260)  # of the pictures of parts and joints [pixels]
 PLATE_COLOUR = (0.93, 0.94, 0.95)
 
@@ -49,18 +52,19 @@ def overview(stock: Stock) -> str:
         scene.shapes.append(pushed(stock.boxes[k], shift))
         scene.marks.append(Mark(seat_b.kind, at + shift))
         scene.arrows.append(np.stack([at + shift, at + shift - 0.7 * back * z]))
+        for lid in stock.lids([k]):
+            scene.shapes.append(pushed(lid, shift + (seat_b.size[2] / 2 + LID_BACK) * z))
+            scene.marks.append(Mark(f"{seat_b.kind} lid", _middle(scene.shapes[-1])))
     return figure(scene, View(), "all parts of the robot, drawn apart", (700, 560))
 
 
-def plate_picture(stock: Stock, index: int, lay: Lay) -> str:
-    """A printed body as it lies on its plate."""
-    shapes = [pushed(shape, np.zeros(3), lay.T_plate_design) for shape in stock.body(index)]
+def plate_picture(stock: Stock, piece: Piece, lay: Lay) -> str:
+    """A printed object as it lies on its plate."""
+    shapes = [pushed(stock.parts[part.name], np.zeros(3), lay.T_plate_design) for part in piece.parts]
     points = np.concatenate([shape.vertices for shape in shapes])
     low, high = points.min(0) - 0.012, points.max(0) + 0.012
     slab = _slab(low, high, float(points[:, 2].min()))
-    return figure(
-        Scenery([slab, *shapes]), View(-0.95, 0.45), f"{stock.blueprint.bodies[index].name} on its plate", SMALL
-    )
+    return figure(Scenery([slab, *shapes]), View(-0.95, 0.45), f"{piece.name} on its plate", SMALL)
 
 
 def motor_picture(stock: Stock, steps: Sequence[Step], filled: Sequence[int]) -> str:
@@ -146,7 +150,7 @@ def join_picture(stock: Stock, steps: Sequence[Step], stay: Sequence[int]) -> st
 
 
 def box_picture(stock: Stock, step: Step, bodies: Sequence[int], inside: Sequence[int]) -> str:
-    """A box before its shaft; boxes put in before are in place."""
+    """A box before its shaft; boxes put in before are in place, under their lids."""
     blueprint = stock.blueprint
     seat = blueprint.boxes[step.index]
     at, z = seat.T_design_box[:3, 3], seat.T_design_box[:3, 2]
@@ -155,7 +159,7 @@ def box_picture(stock: Stock, step: Step, bodies: Sequence[int], inside: Sequenc
     for b in bodies:
         scene.shapes.extend(stock.body(b))
     scene.shapes.extend(m for m, s in zip(stock.motors, blueprint.seats, strict=True) if s.holder in bodies)
-    scene.shapes.extend(stock.boxes[k] for k in inside)
+    scene.shapes.extend([*(stock.boxes[k] for k in inside), *stock.lids(inside)])
     moved = len(scene.shapes)
     scene.shapes.append(coloured(pushed(stock.boxes[step.index], shift), NEW))
     if seat.kind == "controller":
@@ -167,6 +171,32 @@ def box_picture(stock: Stock, step: Step, bodies: Sequence[int], inside: Sequenc
                         Mark(blueprint.bodies[seat.body].name, stock.centre(seat.body))])  # fmt: skip
     view = best_view(scene, [moved], facing=z)
     return figure(scene, view, f"{seat.kind} into {blueprint.bodies[seat.body].name}")
+
+
+def lid_picture(stock: Stock, step: Step, bodies: Sequence[int], inside: Sequence[int]) -> str:
+    """A lid above its opening with the box in it, and its screws above their holes."""
+    blueprint, lid = stock.blueprint, stock.blueprint.lids[step.index]
+    seat, other = blueprint.boxes[lid.box], [k for k in inside if k != lid.box]
+    z = seat.T_design_box[:3, 2]
+    scene = Scenery([shape for b in bodies for shape in stock.body(b)])
+    scene.shapes.extend(m for m, s in zip(stock.motors, blueprint.seats, strict=True) if s.holder in bodies)
+    scene.shapes.extend([*(stock.boxes[k] for k in inside), *stock.lids(other)])
+    shift = (step.legs[0].travel + LID_BACK) * z
+    moved = len(scene.shapes)
+    scene.shapes.append(coloured(pushed(stock.parts[lid.part], shift), NEW))
+    scene.shapes.append(pushed(stock.lid_screws(step.index), shift + SCREW_BACK * z))
+    scene.arrows.extend(np.stack([place + shift + SCREW_BACK * z, place + shift]) for place in lid.screws)
+    scene.arrows.append(np.stack([lid.screws.mean(0) + shift, lid.screws.mean(0)]))
+    around = np.concatenate([shape.vertices for _, shape in stock.printed[seat.body]])
+    there = around[np.linalg.norm(around - lid.screws.mean(0), axis=1) < NEAR]
+    scene.focus.extend([there, *(shape.vertices for shape in scene.shapes[moved:])])
+    scene.marks.extend([
+        Mark(f"{seat.kind} lid", _middle(scene.shapes[moved]), strong=True),
+        Mark("notch for the leads", lid.notch + shift),
+        Mark(f"{len(lid.screws)} × {SCREW}", lid.screws[0] + shift + SCREW_BACK * z),
+        Mark(seat.kind, seat.T_design_box[:3, 3] + seat.size[2] / 2 * z),
+    ])  # fmt: skip
+    return figure(scene, best_view(scene, [moved], facing=z), f"lid over the {seat.kind}")
 
 
 def joint_picture(stock: Stock, hinge_index: int) -> str:
@@ -186,6 +216,8 @@ def joint_picture(stock: Stock, hinge_index: int) -> str:
         if moved:
             wanted.extend(range(len(scene.shapes), len(scene.shapes) + len(stock.printed[b])))
         scene.shapes.extend(pushed(s, np.zeros(3), T) if moved else s for s in stock.body(b, new=moved))
+        lids = stock.lids([k for k, seat in enumerate(blueprint.boxes) if seat.body == b])
+        scene.shapes.extend(coloured(pushed(s, np.zeros(3), T), NEW_BONE) if moved else s for s in lids)
     scene.shapes.append(axis_rod(hinge.position, hinge.axis, (-0.13, 0.13)))
     middle = np.mean([stock.centre(b) for b in side], axis=0)
     steps = np.linspace(0.0, angle, 7) if angle > 0.05 else np.linspace(-0.3, 0.0, 7)
@@ -212,6 +244,11 @@ def _reach(stock: Stock, body: int, position: Array, axis: Array, middle: Array)
 def _stretches(stock: Stock, seat: int) -> list[tuple[int, Array]]:
     wire = next(w for w in stock.blueprint.wires if w.seat == seat)
     return wire_stretches(wire, stock.blueprint)
+
+
+def _middle(shape: Shape) -> Array:
+    """Middle of a shape's bounding box."""
+    return np.asarray((shape.vertices.min(0) + shape.vertices.max(0)) / 2)
 
 
 def _slab(low: Array, high: Array, top: float) -> Shape:

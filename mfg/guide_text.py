@@ -13,12 +13,15 @@ from mfg.assembly import Step
 from mfg.blueprint import Blueprint
 from mfg.catalogue import ScrewPattern
 from mfg.guide_pictures import screw_size
+from mfg.lids import SCREW
+from mfg.splitting import pieces
 from mfg.tables import bill_of_materials, wiring_table
 from mfg.ways import TOOLS
 
 # Cap screws on plastic, all (assumed): pressure under the head that PLA bears for years without creeping away [Pa],
 # head of an ISO 4762 screw as a multiple of its size, nut factor of a dry screw, friction of plastic on aluminium.
 BEARING, HEAD_RATIO, NUT_FACTOR, GRIP = 40e6, 1.75, 0.2, 0.2
+LID_TORQUE = 0.3  # what strips no thread of an M3 screw in printed plastic (assumed) [N.m]
 STUB = 0.3  # longest branch that a CAN bus at 1 Mbit/s bears, a rule of thumb (assumed) [m]
 SET_ID, SAVE_CONFIG, GET_CONFIG = 8, 16, 24  # commands of the J60: vendor's can_protocol.h; id = command << 5 | motor
 
@@ -45,8 +48,10 @@ def tools(blueprint: Blueprint) -> list[str]:
     motor = blueprint.catalogue.motor
     keys = sorted({round(0.75e3 * screw_size(p.screw)[0], 1) for p in (motor.body_screws, motor.output_screws)})
     key = " and ".join(f"{k:g} mm" for k in keys)
+    lids = ["hex key 2.5 mm for the screws of the lids"] if blueprint.lids else []
     return [
         f"hex keys {key}: a ball-end driver of 120 mm, and one cut to an arm of 15 mm for tight places",
+        *lids,
         "torque screwdriver, 0.3 to 1.5 N.m",
         "thread lock of medium strength (blue) for steel screws in the motor's metal threads",
         f"draw wire or nylon fish tape of 1.5 m for the cables (tunnels of {2e3 * _tunnel(blueprint):.0f} mm bore)",
@@ -63,9 +68,17 @@ def step_text(blueprint: Blueprint, step: Step) -> list[str]:
     if step.kind == "place":
         extra = [name for name in step.adds if "skin" in name]
         with_skin = f" with its soft skin ({', '.join(extra)})" if extra else ""
-        return [f"Take {body}{with_skin} to the bench and clear its holes of support."]
+        text = [f"Take {body}{with_skin} to the bench and clear its holes of support."]
+        made = [piece.name for piece in pieces(blueprint) if piece.body == step.body
+                and {part.name for part in piece.parts} <= set(step.adds)]  # fmt: skip
+        if len(made) > 1:
+            text.append(f"It is printed in pieces: glue {', '.join(made)} together, each peg in its hole, until their "
+                        "faces meet, and let the glue set.")  # fmt: skip
+        return text
     if step.kind == "box":
         return _box_text(blueprint, step)
+    if step.kind == "lid":
+        return _lid_text(blueprint, step)
     seat = blueprint.seats[step.index]
     joint = blueprint.hinges[seat.hinge].name
     bus, address = can_address(step.index)
@@ -189,12 +202,26 @@ def _box_text(blueprint: Blueprint, step: Step) -> list[str]:
     if box.kind == "battery":
         return [f"Slide the battery ({catalogue.battery.name}, {size} mm) into {body} along the arrow, leads outwards; "
                 f"it sits {depth}. Keep its switch OFF and its plug apart until the first run.",
-                "Secure it with a strap or foam: it has 1 mm of play and no lid in this design.", *bend]  # fmt: skip
+                *([] if any(lid.box == step.index for lid in blueprint.lids) else
+                  ["Secure it with a strap or foam: it has 1 mm of play and no lid in this design."]),
+                *bend]  # fmt: skip
     devices = ", ".join(device.name for device in catalogue.computer.devices)
     names = ", ".join(wire.name for wire in blueprint.wires)
     return [f"Stack {devices} into the controller box ({size} mm), the IMU at its centre with its axes along the box.",
             f"Plug in {names}, one at a time, each with its label; check that none is pinched.",
             f"Slide the controller box into {body} along the arrow; it sits {depth}.", *bend]  # fmt: skip
+
+
+def _lid_text(blueprint: Blueprint, step: Step) -> list[str]:
+    lid = blueprint.lids[step.index]
+    kind, body = blueprint.boxes[lid.box].kind, blueprint.bodies[step.body].name
+    text = [f"Lay the leads of the {kind} into the notch at the edge of {lid.part}, so that they come out.",
+            f"Push the lid onto the opening in {body} along the arrow until its tabs rest on their shelves, and drive "
+            f"{len(lid.screws)} screws {SCREW}: turn each back until it drops into its thread, then to "
+            f"{LID_TORQUE:.1f} N.m, without thread lock."]  # fmt: skip
+    if kind == "battery":
+        text.append("To change or charge the battery, only these screws come out: it slides out along the arrow.")
+    return text + (["Bend the soft skin aside at the mouth of the shaft."] if step.soft else [])
 
 
 def _screw_text(pattern: ScrewPattern, where: str, step: Step) -> str:

@@ -9,7 +9,9 @@ In the frame of the box, z towards the opening, u across:
         pilot holes       !   |____________|   !          the plug ends above the box and keeps it down
                               |    box     |
 
-Lid and bone meet with `FIT` of play all around. The screws cut their thread into the pilot holes.
+Lid and bone meet with `FIT` of play all around. The screws cut their thread into the pilot holes. The plug has a notch
+at its edge: the leads of the battery come out of one lid and go in through the other, and both lift off with the leads
+in place; for the same reason a cable that crosses the plug runs in a slot that is open towards the box.
 """
 
 from __future__ import annotations
@@ -32,7 +34,10 @@ TAB = 9.0e-3  # width of a tab [m]
 REACH = 9.0e-3  # how far a tab reaches beyond the shaft [m]
 PLATE = 4.0e-3  # least thickness of a tab over its screw, of which the head takes half [m]
 HOLE, PILOT, HEAD = 1.7e-3, 1.25e-3, 3.1e-3  # radii for an M3: clearance hole, pilot hole, head and driver [m]
-GRIP = 9.0e-3  # depth of a pilot hole, for an M3x12 [m]
+SCREW = "M3x10"  # 2 mm of it in the tab, 8 mm in the bone
+GRIP = 9.0e-3  # depth of a pilot hole: the screw must not meet its end [m]
+DEPTH = PLATE / 2 + GRIP  # from where a head rests to the end of its hole [m]
+LEADS = (1.0e-2, 6.0e-3)  # along the edge and into the plug: two leads of 12 AWG side by side [m]
 AROUND = 1.6e-3  # least wall around a pilot hole, two and a half printed lines [m]
 JOINED = 3.0e-3  # least height over which a tab and the plug are one [m]
 DRIVER = 0.06  # length of a screwdriver above the mouth [m]
@@ -50,12 +55,14 @@ class Lid:
         solid: as printed.
         room: what the host's bone and skin must leave free for it, its pilot holes too.
         screws: points on the axes of the screws where their heads rest [m], (n, 3); all point along -z of the box.
+        notch: middle of the notch for the leads, at the opening [m], (3,).
     """
 
     seat: int
     solid: Solid
     room: tuple[Solid, ...]
     screws: NDArray[np.float64]
+    notch: NDArray[np.float64]
 
 
 def lids_of(blueprint: Blueprint, bones: Sequence[Solid], tunnels: Sequence[Solid]) -> tuple[list[Lid], list[str]]:
@@ -83,12 +90,13 @@ def _lid(
     if seat.shaft <= half[2]:
         return None
     # Everything happens in the frame of the box, where all tools are upright.
-    taken = [solid.moved(inward) for solid in [*_taken(blueprint, index, bones), *tunnels, *keep_out]]
+    cables = [solid.moved(inward) for solid in tunnels]
+    taken = [solid.moved(inward) for solid in [*_taken(blueprint, index, bones), *keep_out]]
     local = bones[seat.body].moved(inward)
-    whole = local.minus(taken)
+    whole = local.minus([*taken, *cables])
     found: list[tuple[Solid, float, NDArray[np.float64]]] = []
     for place in _places(half):
-        tab = _tab(whole, taken, local, place, half, seat.shaft)
+        tab = _tab(whole, [*taken, *cables], local, place, half, seat.shaft)
         if tab is not None:
             found.append((tab[0], tab[1], place))
     chosen = _opposite([place for _, _, place in found])
@@ -106,11 +114,36 @@ def _lid(
         room += [_tab_box(place, half, shelf, top, FIT), _at(cylinder(PILOT, shelf - GRIP, shelf + OVER, 16), x, y)]
         heads.append((x, y, rest))
     cavity = box(-half, half)
-    pieces = ((wide ^ local).minus([cavity, *holes, *taken])).components()
+    edge = _notch([place for _, _, place in tabs], half)
+    reach = np.array([LEADS[1], LEADS[0] / 2, 0.0])[[int(edge[2]), 1 - int(edge[2]), 2]]
+    notch = box([*(edge[:2] - reach[:2]), half[2] - OVER], [*(edge[:2] + reach[:2]), top + OVER])
+    slots = [slot for cable in cables for slot in _slots(cable, wide, top - half[2])]
+    pieces = ((wide ^ local).minus([cavity, *holes, *taken, notch, *slots])).components()
     if not pieces or sum(piece.volume for piece in pieces[1:]) > 0.05 * pieces[0].volume:
         return None
-    screws = np.array(heads) @ T[:3, :3].T + T[:3, 3]
-    return Lid(index, pieces[0].moved(T), tuple(solid.moved(T) for solid in room), screws)
+    screws, mouth = (points @ T[:3, :3].T + T[:3, 3] for points in (np.array(heads), np.array([*edge[:2], top])))
+    return Lid(index, pieces[0].moved(T), tuple(solid.moved(T) for solid in room), screws, mouth)
+
+
+def _notch(tabs: Sequence[NDArray[np.float64]], half: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The place on the edge of the plug that is farthest from all tabs: (x, y, axis, sign)."""
+    best: tuple[float, NDArray[np.float64]] = (-1.0, np.zeros(4))
+    for axis, sign, share in itertools.product(range(2), (1.0, -1.0), (0.0, -0.5, 0.5)):
+        place = np.zeros(4)
+        place[axis], place[1 - axis] = sign * half[axis], share * half[1 - axis]
+        place[2:] = axis, sign
+        away = min(float(np.linalg.norm(tab[:2] - place[:2])) for tab in tabs)
+        if away > best[0] + 1e-6:
+            best = (away, place)
+    return best[1]
+
+
+def _slots(cable: Solid, wide: Solid, height: float) -> list[Solid]:
+    """What a cable takes of a plug of this height, open downwards, so that the lid lifts off the cable."""
+    met = cable ^ wide
+    down = np.eye(4)
+    down[2, 3] = -height
+    return [] if met.is_empty else [union([piece, piece.moved(down)]).hull() for piece in met.components()]
 
 
 def _taken(blueprint: Blueprint, index: int, bones: Sequence[Solid]) -> list[Solid]:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from mfg.addresses import MAX_BUS, can_address, turn_sign
-from mfg.blueprint import Blueprint, PrintedPart
+from mfg.blueprint import Blueprint, LidSeat, PrintedPart
 from mfg.catalogue import Motor, ScrewPattern
 from mfg.description import PAPER_SKIN, DescribedJoint, Description, Link, SkinMaterial
+from mfg.lids import SCREW
 from mfg.masses import printed_moments
 from mfg.outcome import Scores
 from mfg.plate import Lay
@@ -64,6 +65,7 @@ def manifest(
              "T_design_box": box.T_design_box.tolist(), "clearance": box.clearance, "shaft": box.shaft}
             for box in blueprint.boxes
         ],
+        **({"lids": [_lid(blueprint, lid) for lid in blueprint.lids]} if blueprint.lids else {}),
         "wires": [
             {"name": wire.name, "joint": blueprint.hinges[blueprint.seats[wire.seat].hinge].name,
              "length": wire.length, "radius": wire.radius, "path": np.round(wire.path, 6).tolist()}
@@ -206,6 +208,14 @@ def _piece(blueprint: Blueprint, piece: Piece, lay: Lay) -> dict[str, Any]:
     return {
         "name": piece.name, "body": blueprint.bodies[piece.body].name, "parts": [part.name for part in piece.parts],
         "plate": lay.plate, "T_plate_design": lay.T_plate_design.tolist(), "print_size": lay.size.tolist(),
+    }  # fmt: skip
+
+
+def _lid(blueprint: Blueprint, lid: LidSeat) -> dict[str, Any]:
+    seat = blueprint.boxes[lid.box]
+    return {
+        "box": seat.kind, "body": blueprint.bodies[seat.body].name, "part": lid.part, "screw": SCREW,
+        "screws": lid.screws.tolist(), "notch": lid.notch.tolist(),
     }  # fmt: skip
 
 

@@ -54,7 +54,7 @@ SEARCHING: tuple[Solver, ...] = (
     SearchElectronicsSolver(),
     SearchWireSolver(),
     PrintabilitySolver(split=True),
-    FinishSolver(min_overlap=FUSED, split=True),
+    FinishSolver(min_overlap=FUSED, lids=True, split=True),
 )
 
 Rules = Literal["paper", "search"]

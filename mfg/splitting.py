@@ -8,7 +8,6 @@ mesh kernel moves a curved surface when it is cut: some 10 micrometres.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +18,7 @@ from scipy.spatial import ConvexHull
 from mfg.blueprint import Blueprint, PrintedPart, Transform
 from mfg.exact import box_room
 from mfg.fields import Field
+from mfg.lids import DEPTH
 from mfg.mounts import Mount, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
@@ -30,15 +30,14 @@ STEEPEST = np.pi / 3  # most that a tunnel may lean from the normal of a cut tha
 MOST_CUTS = 48  # tried along one direction
 _SPARE = 3  # cuts whose parts touch themselves, before the first of them is taken
 _FAR = 3.0  # half edge of the box that stands for half of space [m]
-_PIECE = re.compile(r"_(?:bone|skin_\d+)_(\d+)$")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Piece:
-    """What is printed as one object: a body, or a piece of one that was cut.
+    """What is printed as one object: a body, a piece of one that was cut, or a lid.
 
     Attributes:
-        name: of the body, with the number of the piece if there are several.
+        name: of the body, with that of the piece if it is not the whole.
         body: index.
         parts: rigid and soft.
     """
@@ -135,9 +134,9 @@ class SplitSolver:
         name, lost = blueprint.bodies[piece.body].name, sum(skin.volume for skin in skins)
         made = []
         for number, (rigid, soft) in enumerate(done, start=1):
-            made.append(PrintedPart(f"{name}_bone_{number}", piece.body, "rigid", rigid))
+            made.append(PrintedPart(f"{name}_bone_{number}", piece.body, "rigid", rigid, str(number)))
             for k, solid in enumerate(soft, start=1):
-                made.append(PrintedPart(f"{name}_skin_{k}_{number}", piece.body, "soft", solid))
+                made.append(PrintedPart(f"{name}_skin_{k}_{number}", piece.body, "soft", solid, str(number)))
                 lost -= solid.volume
         return made, max(0.0, lost if lost > 1e-12 else 0.0)
 
@@ -219,9 +218,9 @@ class SplitSolver:
             low, high = _mount_span(mount, seat.T_design_motor, T)
             if low - self.room < 0 < high + self.room:
                 return False
-        for placed in blueprint.boxes:
+        for k, placed in enumerate(blueprint.boxes):
             if placed.body == body:
-                along = (box_room(placed).vertices - T[:3, 3]) @ T[:3, 2]
+                along = (_box_points(blueprint, k) - T[:3, 3]) @ T[:3, 2]
                 if along.min() - self.room < 0 < along.max() + self.room:
                     return False
         for wire in blueprint.wires:
@@ -311,18 +310,14 @@ class SplitSolver:
 
 
 def pieces(blueprint: Blueprint) -> list[Piece]:
-    """What is printed as one object each, in the order of bodies and within a body from the first piece on."""
-    found = []
-    for index, body in enumerate(blueprint.bodies):
-        by_number: dict[int, list[PrintedPart]] = {}
-        for part in blueprint.parts:
-            if part.body == index:
-                match = _PIECE.search(part.name)
-                by_number.setdefault(int(match[1]) if match else 0, []).append(part)
-        for number in sorted(by_number):
-            name = f"{body.name}_{number}" if number else body.name
-            found.append(Piece(name, index, tuple(by_number[number])))
-    return found
+    """What is printed as one object each, in the order of bodies; a body comes before its lids."""
+    found: dict[tuple[int, str], list[PrintedPart]] = {}
+    for part in sorted(blueprint.parts, key=lambda part: part.body):
+        found.setdefault((part.body, part.piece), []).append(part)
+    return [
+        Piece("_".join(filter(None, (blueprint.bodies[body].name, piece))), body, tuple(parts))
+        for (body, piece), parts in found.items()
+    ]
 
 
 def _closed(solid: Solid) -> bool:
@@ -332,6 +327,17 @@ def _closed(solid: Solid) -> bool:
 
 def _points(solids: tuple[Solid, Sequence[Solid]]) -> NDArray[np.float64]:
     return np.concatenate([solids[0].vertices, *(skin.vertices for skin in solids[1])])
+
+
+def _box_points(blueprint: Blueprint, index: int) -> NDArray[np.float64]:
+    """Corners of what a box needs of its body: cavity, shaft, and the lid with its screws where it has one."""
+    placed = blueprint.boxes[index]
+    points = [box_room(placed).vertices]
+    for lid in blueprint.lids:
+        if lid.box == index:
+            points += [part.solid.vertices for part in blueprint.parts if part.name == lid.part]
+            points.append(lid.screws - DEPTH * placed.T_design_box[:3, 2])
+    return np.concatenate(points)
 
 
 def _mount_span(mount: Mount, T_design_motor: Transform, T: Transform) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from mfg.addresses import can_address, turn_sign
 from mfg.blueprint import Blueprint
+from mfg.lids import SCREW
 from mfg.masses import printed_moments
 from mfg.slicer import SliceReport, clock
 
@@ -27,6 +28,10 @@ def bill_of_materials(blueprint: Blueprint) -> str:
     rows.append(("encoder", encoder.name, motors, "pcs", "", f"1 per joint, {encoder.source}; not in the mass model"))
     for pattern, use in ((motor.body_screws, "motor to holder"), (motor.output_screws, "motor to connector")):
         rows.append(("screw", pattern.screw, pattern.count * motors, "pcs", "", f"{pattern.count} per joint, {use}"))
+    for lid in blueprint.lids:
+        use = f"over the {blueprint.boxes[lid.box].kind}"
+        rows.append(("printed lid", lid.part, 1, "pcs", "", f"{use}; its mass is in that of {catalogue.rigid.name}"))
+        rows.append(("screw", SCREW, len(lid.screws), "pcs", "", f"lid {use}, cuts its own thread"))
     length = sum(wire.cable_length for wire in blueprint.wires)
     mass = catalogue.wire.mass_per_metre * length
     rows.append(("cable", catalogue.wire.name, f"{length:.2f}", "m", _grams(mass), catalogue.wire.source))

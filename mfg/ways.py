@@ -66,7 +66,7 @@ class Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """The solids of a built robot, design frame: printed ones by body, motors by seat, boxes by index."""
+    """The solids of a built robot, design frame: bones and skins by body, motors by seat, boxes and lids by index."""
 
     blueprint: Blueprint
     mount: Mount
@@ -75,11 +75,14 @@ class Scene:
     rough: list[list[Solid]]
     motors: list[Solid]
     boxes: list[Solid]
+    lids: list[Solid]
 
     @classmethod
     def of(cls, blueprint: Blueprint) -> Scene:
         """The scene of a blueprint with parts."""
-        parts = [[p for p in blueprint.parts if p.body == b] for b in range(len(blueprint.bodies))]
+        lids = {lid.part for lid in blueprint.lids}
+        printed = [p for p in blueprint.parts if p.name not in lids]
+        parts = [[p for p in printed if p.body == b] for b in range(len(blueprint.bodies))]
         return cls(
             blueprint,
             mount_of(blueprint.catalogue.motor),
@@ -88,6 +91,7 @@ class Scene:
             [[p.solid.simplified(ROUGH_ERROR) for p in of_body] for of_body in parts],
             [motor_solid(blueprint, seat) for seat in blueprint.seats],
             [box_solid(box) for box in blueprint.boxes],
+            [p.solid for lid in blueprint.lids for p in blueprint.parts if p.name == lid.part],
         )
 
     def printed(self, bodies: Iterable[int], *, soft: bool = True) -> list[Solid]:
@@ -142,6 +146,17 @@ def box_way(scene: Scene, index: int, group: frozenset[int], others: Iterable[in
     blocked = blocked_volume(solid, hard, out)
     soft = blocked_volume(solid, [s for b in sorted(group) for s in scene.soft[b]], out) > FREE
     return Way(legs, blocked, soft=soft, by="" if blocked <= FREE else scene.culprit(solid, out, group))
+
+
+def lid_way(scene: Scene, index: int, group: frozenset[int]) -> Way:
+    """A lid's way onto its opening, past everything in a group of joined bodies."""
+    solid, seat = [scene.lids[index]], scene.blueprint.boxes[scene.blueprint.lids[index].box]
+    out = seat.T_design_box[:3, 2]
+    hard = scene.printed(group, soft=False) + scene.held(group)
+    blocked = blocked_volume(solid, hard, out)
+    soft = blocked_volume(solid, [s for b in sorted(group) for s in scene.soft[b]], out) > FREE
+    by = "" if blocked <= FREE else scene.culprit(solid, out, group)
+    return Way((Leg(-out, max(seat.shaft - seat.size[2] / 2, 0.03)),), blocked, soft=soft, by=by)
 
 
 def motor_way(scene: Scene, k: int) -> Way:
