@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ REAMED = 5e-4  # by which the exact joint cylinder exceeds the one on the field,
 ACCESS = 0.035  # free length above the connector and below the base plate, for a screwdriver [m]
 LIFT = 2e-3  # by which a motor must be able to rise beyond the rim of its cup [m]
 STRAIGHT = 1e-4  # by which a tunnel may cut the corners of its path [m]
+MOUTH = 1.5  # by which a tunnel is let into a cavity [radii]
 FACETS = 8  # around a tunnel: its least radius is 8 % short, less than the gap between cable and wall
 ROUND = 96  # sides of a cylinder whose volume is measured: its area is 0.07 % short
 SAMPLED = 6e-3  # edge of the surface pieces by which a distance is measured: 40 mm comes out 0.15 mm larger [m]
@@ -58,6 +60,24 @@ def motor_solid(blueprint: Blueprint, seat: MotorSeat) -> Solid:
 def tunnel(wire: WireRun) -> Solid:
     """The room of one cable, in the design frame."""
     return ball_chain(straightened(wire.path, STRAIGHT), wire.radius, FACETS)
+
+
+def opened_tunnel(blueprint: Blueprint, wire: WireRun) -> Solid:
+    """What is cut for a cable: its tunnel, let into the cavities at both ends.
+
+    A path ends where the ball about its end just touches the cavity: the bore opens fully `MOUTH` radii farther on.
+    """
+    seat, box_seat = blueprint.seats[wire.seat], blueprint.box("controller")
+    ends = []
+    for end, T, half in (
+        (wire.path[0], box_seat.T_design_box, np.asarray(box_seat.size) / 2),
+        (wire.path[-1], seat.T_design_motor, np.array([0.0, 0.0, blueprint.catalogue.motor.length / 2])),
+    ):
+        local = (end - T[:3, 3]) @ T[:3, :3]
+        inward = np.clip(local, -half, half) - local  # to the nearest point of the box, or of the motor's axis
+        length = float(np.linalg.norm(inward))
+        ends.append(end + min(MOUTH * wire.radius, length) / max(length, 1e-9) * (T[:3, :3] @ inward))
+    return tunnel(replace(wire, path=np.concatenate([ends[:1], wire.path, ends[1:]])))
 
 
 def straightened(path: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
@@ -168,13 +188,13 @@ def surface_points(solid: Solid, spacing: float) -> NDArray[np.float64]:
     return np.concatenate(done)
 
 
-def conflict(blueprint: Blueprint, tunnels: Sequence[Solid], most: float) -> Failure | None:
+def conflict(blueprint: Blueprint, most: float) -> Failure | None:
     """The first pair of motors, boxes and tunnels that share more than `most` [m3]."""
     things = [
         (f"the motor of {blueprint.hinges[seat.hinge].name}", motor_solid(blueprint, seat)) for seat in blueprint.seats
     ]
     things += [(f"the {seat.kind}", box_solid(seat)) for seat in blueprint.boxes]
-    things += [(wire.name, run) for wire, run in zip(blueprint.wires, tunnels, strict=True)]
+    things += [(wire.name, tunnel(wire)) for wire in blueprint.wires]
     for (name, a), (other, b) in itertools.combinations(things, 2):
         shared = a.overlap(b)
         if shared > most:

@@ -18,7 +18,7 @@ from mfg.exact import (
     filled_mounts,
     interference_above,
     largest_ball,
-    tunnel,
+    opened_tunnel,
 )
 from mfg.fields import Field
 from mfg.lids import Lid, lids_of
@@ -83,7 +83,7 @@ class FinishSolver:
         """Return the blueprint with `parts`, `masses` and exact scores, or why it cannot be printed."""
         mount = mount_of(blueprint.catalogue.motor)
         bones = [from_field(body.bone, self.tolerance) for body in blueprint.bodies]
-        tunnels = [tunnel(wire) for wire in blueprint.wires]
+        tunnels = [opened_tunnel(blueprint, wire) for wire in blueprint.wires]
         parts: list[PrintedPart] = []
         blueprint, lids = self._lids(blueprint, bones, tunnels) if self.lids else (blueprint, [])
         for index in range(len(blueprint.bodies)):
@@ -113,7 +113,7 @@ class FinishSolver:
             if isinstance(part, Failure):
                 return part
         blueprint = replace(blueprint, parts=tuple(part for part in whole if isinstance(part, PrintedPart)))
-        failure = self._too_large(blueprint) or conflict(blueprint, tunnels, self.max_touch)
+        failure = self._too_large(blueprint) or conflict(blueprint, self.max_touch)
         if failure is not None:
             return failure
         return self._rescored(replace(blueprint, masses=body_masses(blueprint)), bones, mount)

@@ -89,10 +89,12 @@ def _lid(
     half = np.array(seat.size) / 2 + seat.clearance
     if seat.shaft <= half[2]:
         return None
-    # Everything happens in the frame of the box, where all tools are upright.
-    cables = [solid.moved(inward) for solid in tunnels]
-    taken = [solid.moved(inward) for solid in [*_taken(blueprint, index, bones), *keep_out]]
-    local = bones[seat.body].moved(inward)
+    # Everything happens in the frame of the box, where all tools are upright, and as far away as a lid reaches.
+    beside = half + REACH + 2 * OVER
+    around = box([*-beside[:2], half[2] - GRIP - 3 * OVER], [*beside[:2], seat.shaft + 2 * DRIVER])
+    cables = [solid.moved(inward) ^ around for solid in tunnels]
+    taken = [solid.moved(inward) ^ around for solid in [*_taken(blueprint, index, bones), *keep_out]]
+    local = bones[seat.body].moved(inward) ^ around
     whole = local.minus([*taken, *cables])
     found: list[tuple[Solid, float, NDArray[np.float64]]] = []
     for place in _places(half):
