@@ -22,6 +22,7 @@ REASONS: dict[str, str] = {
     Reason.NO_OVERLAP: "A body is too far from its hinge, or too slight there, to hold the motor or its output.",
     Reason.WEAK_MOUNT: "A body is too slight around its hinge to stand the motor's peak torque.",
     Reason.MOTOR_COLLISION: "A motor would sit inside another motor.",
+    Reason.NO_ACCESS: "Two motors sit so close in one body that one of them cannot be put in or screwed down.",
     Reason.BONE_SEVERED: "Making room for the motor would cut a rigid body in pieces.",
     Reason.NO_ROOM: "No rigid body is large enough inside for the battery or the controller box.",
     Reason.NO_ROUTE: "No cable tunnel leads from some motor to the controller within the rigid bodies.",

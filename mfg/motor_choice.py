@@ -146,7 +146,7 @@ class _Search:
                 self.best, self.total = list(chosen), self.sum(chosen)
             return
         before = self.sum(chosen)
-        found = False
+        found, refused = False, np.zeros(len(chosen), int)
         for a in np.flatnonzero(left[joint]).tolist():
             after = sum(self.top(i, left[i]) for i in range(joint + 1, len(self.scores)))
             if before + float(self.scores[joint][a]) + after <= self.total or self.steps <= 0:
@@ -156,7 +156,9 @@ class _Search:
             if not self.open[joint][a]:
                 continue
             self.steps -= 1
-            if not all(self._clear(i, b, joint, a) for i, b in enumerate(chosen)):
+            near = next((i for i, b in enumerate(chosen) if not self._clear(i, b, joint, a)), None)
+            if near is not None:
+                refused[near] += 1
                 continue
             found = True
             later = range(joint + 1, len(self.scores))
@@ -167,7 +169,7 @@ class _Search:
             elif joint > self.deepest:
                 self.deepest, self.stuck = joint, Stuck(dead, joint)
         if not found and self.best is None and joint > self.deepest:
-            self.deepest, self.stuck = joint, Stuck(joint, self.blocker(chosen))
+            self.deepest, self.stuck = joint, Stuck(joint, self.blocker(chosen, refused))
 
     def sum(self, chosen: list[int]) -> float:
         """Sum of the scores of the joints that have a candidate."""
@@ -179,8 +181,8 @@ class _Search:
         first = int(some.argmax())
         return float(self.scores[joint][first]) if some[first] else -np.inf
 
-    def blocker(self, chosen: list[int]) -> int | None:
-        """The joint whose candidate rules most of the next joint's candidates out."""
+    def blocker(self, chosen: list[int], refused: NDArray[np.int64]) -> int | None:
+        """The joint whose candidate rules most of the next joint's candidates out, at once or on a closer look."""
         joint = len(chosen)
-        ruled_out = [int((~self._possible(i, a, joint)).sum()) for i, a in enumerate(chosen)]
+        ruled_out = [int((~self._possible(i, a, joint)).sum()) + int(refused[i]) for i, a in enumerate(chosen)]
         return int(np.argmax(ruled_out)) if ruled_out else None

@@ -21,10 +21,12 @@ from mfg.motors import MotorSolver, envelopes_meet, with_seats
 from mfg.mounts import Mount, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.strength import BENDING_SHARE, LAYER_STRENGTH, Half, Plastic
+from mfg.tool_access import reach, shortfall
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FUSED = 5.0e-7  # what the exact solids of a mount and its bone must share to be one part: a cube of 8 mm [m3]
+CLOSE_PAIRS = 200  # pairs of seats among which the one that is nearest to being got at is sought
 CLOSE_LOOKS = 6  # seats of a hopeless joint among which the strongest is sought
 
 
@@ -33,8 +35,9 @@ class SearchMotorSolver:
     """Seat all motors at once where their mounts stand the peak torque, by the paper's score S(delta).
 
     Every joint has candidates over a wide range of offsets, both assignments of holder and connector and both ways for
-    the output to point. Among the combinations in which no two motors meet and every mount reaches the safety factor
-    (see `mfg.strength`), the one with the greatest sum of S wins. Each motor is then turned about its axis so that its
+    the output to point. Among the combinations in which no two motors meet, a hand with a key gets at each (see
+    `mfg.tool_access`) and every mount reaches the safety factor (see `mfg.strength`), the one with the greatest sum of
+    S wins. Each motor is then turned about its axis so that its
     cable leaves where the holder's bone is thickest (by the motor frame's x axis; the mount's screws repeat all around
     and need no bone).
 
@@ -120,6 +123,7 @@ class SearchMotorSolver:
         open_seats = [list(range(len(joint.seats))) if every else joint.few for joint in joints]
         steps = self.steps if every else self.steps // 4
         mount = mount_of(blueprint.catalogue.motor)
+        far = reach(mount)
         seats = [[joint.seats[k] for k in some] for joint, some in zip(joints, open_seats, strict=True)]
         poses = [np.array([seat.T_design_motor for seat in some]) for some in seats]
 
@@ -131,10 +135,13 @@ class SearchMotorSolver:
             return ~known(i, a, j).meet
 
         def clear(i: int, a: int, j: int, b: int) -> bool:
+            apart = float(known(i, a, j).distance[b])
             # The exact test grows the rim of an envelope by the gap both ways.
-            if known(i, a, j).distance[b] >= math.sqrt(2) * self.gap:
-                return True
-            return every and not envelopes_meet(poses[i][a], poses[j][b], mount, self.gap)
+            if apart < math.sqrt(2) * self.gap and not (
+                every and not envelopes_meet(poses[i][a], poses[j][b], mount, self.gap)
+            ):
+                return False
+            return apart >= far or shortfall(seats[i][a], seats[j][b], mount) <= 0.0
 
         def accept(i: int, a: int) -> bool:
             if joints[i].safety(open_seats[i][a], self.min_safety) < self.min_safety:
@@ -209,28 +216,43 @@ class SearchMotorSolver:
                 f"{100 * self.max_loss:.0f} % off a body; grow both segments by 1 voxel near the joint",
                 Miss(Stage.MOTOR, joint.index, remedy="grow_near_joint"),
             )
-        other = joints[stuck.other]
+        return self._in_the_way(blueprint, joint, joints[stuck.other])
+
+    def _in_the_way(self, blueprint: Blueprint, joint: Candidates, other: Candidates) -> Failure:
+        """Two joints whose motors, where they are strong enough, meet or hide each other's screws."""
         mount = mount_of(blueprint.catalogue.motor)
+        names = f"{joint.hinge.name} and {other.hinge.name}"
         fit = [self._not_weak(j) for j in (joint, other)]
-        widest = max((float(Clearance.of(T, fit[1], mount).distance.max()) for T in fit[0]), default=-np.inf)
-        short = self.gap - widest
-        need = max(short, 0.0)
-        apart = 1e3 * max(need, blueprint.design.pitch)
-        how = (
-            f"run into each other by {1e3 * need:.0f} mm at least" if need > 0 else "or a third one run into each other"
-        )
+        poses = np.array([seat.T_design_motor for seat in fit[1]]).reshape(-1, 4, 4)
+        distance = np.array([Clearance.of(seat.T_design_motor, poses, mount).distance for seat in fit[0]])
+        short = self.gap - float(distance.max(initial=-np.inf))
+        hidden = self._hidden(fit, distance, mount) if short <= 0 else 0.0
+        need = max(short, hidden, 0.0)
+        if hidden > 0:
+            reason = Reason.NO_ACCESS
+            how = f"and apart, one is in the way of the other's screws or of its motor by {1e3 * need:.0f} mm at least"
+        else:
+            reason = Reason.MOTOR_COLLISION
+            meet = f"by {1e3 * need:.0f} mm at least" if need > 0 else "or a third one"
+            how = f"their motors run into each other {meet}"
         return Failure(
             Stage.MOTOR,
-            Reason.MOTOR_COLLISION,
-            f"{joint.hinge.name} and {other.hinge.name}: wherever their mounts are strong enough, their motors {how}; "
-            f"move the two joints apart by {apart:.0f} mm",
+            reason,
+            f"{names}: wherever their mounts are strong enough {how}; move the two joints apart by "
+            f"{1e3 * max(need, blueprint.design.pitch):.0f} mm",
             Miss(Stage.MOTOR, joint.index, short_length=need, remedy="move_joints_apart", other=other.index),
         )
 
-    def _not_weak(self, joint: Candidates) -> Array:
-        """Poses of a joint's seats but for those that were found too weak."""
+    def _not_weak(self, joint: Candidates) -> list[MotorSeat]:
+        """A joint's seats but for those that were found too weak."""
         weak = {k for k, (safety, _) in joint.known.items() if safety < self.min_safety}
-        return np.array([seat.T_design_motor for k, seat in enumerate(joint.seats) if k not in weak]).reshape(-1, 4, 4)
+        return [seat for k, seat in enumerate(joint.seats) if k not in weak]
+
+    def _hidden(self, seats: list[list[MotorSeat]], distance: Array, mount: Mount) -> float:
+        """Least by which two joints' motors that keep apart are in each other's way (farthest pairs first) [m]."""
+        pairs = np.argwhere(distance >= self.gap)
+        pairs = pairs[np.argsort(-distance[tuple(pairs.T)], kind="stable")][:CLOSE_PAIRS]
+        return min((shortfall(seats[0][a], seats[1][b], mount) for a, b in pairs.tolist()), default=0.0)
 
     def _too_weak(self, blueprint: Blueprint, joint: Candidates) -> Failure:
         """Mounts that fuse, but would break."""

@@ -30,6 +30,7 @@ class Reason(StrEnum):
     NO_OVERLAP = "no_overlap"
     WEAK_MOUNT = "weak_mount"
     MOTOR_COLLISION = "motor_collision"
+    NO_ACCESS = "no_access"
     BONE_SEVERED = "bone_severed"
     NO_ROOM = "no_room"
     NO_ROUTE = "no_route"
