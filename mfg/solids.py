@@ -95,7 +95,7 @@ class Solid:
 
     def simplified(self, tolerance: float = SIMPLIFY) -> Solid:
         """Fewer triangles within `tolerance` of the surface [m]."""
-        return _of(self._kernel.simplify(tolerance))
+        return _thinned(self._kernel, tolerance)
 
     def overlap(self, other: Solid) -> float:
         """Volume shared with another solid [m3]; 0 where the boxes do not meet."""
@@ -123,7 +123,7 @@ def from_field(field: Field, simplify: float = SIMPLIFY) -> Solid:
     kernel = m3.Manifold(m3.Mesh64(np.ascontiguousarray(position), np.ascontiguousarray(triangles, np.uint64)))
     if kernel.status() != m3.Error.NoError:
         raise ValueError(f"marching cubes gave no solid: {kernel.status()}")
-    solid = _of(kernel.simplify(simplify)) if simplify > 0 else _of(kernel)
+    solid = _thinned(kernel, simplify) if simplify > 0 else _of(kernel)
     if solid.volume <= 0:
         raise ValueError(f"marching cubes gave an inside-out solid of volume {solid.volume:.3g} m3")
     return solid
@@ -170,6 +170,16 @@ def ball_chain(path: NDArray[np.float64], radius: float, segments: int = 12) -> 
     balls = [ball.translate(tuple(float(v) for v in p)) for p in path]
     links = [m3.Manifold.batch_hull([a, b]) for a, b in itertools.pairwise(balls)]
     return _of(m3.Manifold.batch_boolean(links or balls, m3.OpType.Add))
+
+
+def _thinned(kernel: m3.Manifold, tolerance: float) -> Solid:
+    """Fewer triangles within `tolerance` [m], known to the kernel by their corners alone.
+
+    It remembers which triangles it found flat to within the tolerance, and would turn the edges between them in every
+    later operation: two solids cut from one another would no longer share the surface between them.
+    """
+    thin = _of(kernel.simplify(tolerance))
+    return Solid(thin.vertices, thin.triangles)
 
 
 def _of(kernel: m3.Manifold) -> Solid:
