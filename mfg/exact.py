@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +76,8 @@ def opened_tunnel(blueprint: Blueprint, wire: WireRun) -> Solid:
         inward = np.clip(local, -half, half) - local  # to the nearest point of the box, or of the motor's axis
         length = float(np.linalg.norm(inward))
         ends.append(end + min(MOUTH * wire.radius, length) / max(length, 1e-9) * (T[:3, :3] @ inward))
-    return tunnel(replace(wire, path=np.concatenate([ends[:1], wire.path, ends[1:]])))
+    path = np.concatenate([ends[:1], straightened(wire.path, STRAIGHT), ends[1:]])
+    return ball_chain(path, wire.radius, FACETS)  # holds the tunnel itself, facet by facet
 
 
 def straightened(path: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:

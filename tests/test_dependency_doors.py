@@ -20,7 +20,7 @@ DOORS: dict[str, set[str]] = {
     "manifold3d": {"mfg/solids.py"},
     "skimage": {"mfg/solids.py"},
     "embreex": {"mfg/render.py"},
-    "trimesh": {"mfg/export.py", "experiments/check_builds.py"},
+    "trimesh": {"mfg/export.py", "experiments/foreign_check.py"},
     "mujoco": {
         "sim/model.py",
         "sim/skin.py",

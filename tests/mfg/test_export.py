@@ -13,7 +13,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from decoder.design import VoxelDesign
-from experiments.check_builds import check
+from experiments.foreign_check import check
 from mfg.export import blueprint_files, write_blueprint
 from mfg.manifest import NAME, changed_files
 from mfg.outcome import Failure, Reason, Stage

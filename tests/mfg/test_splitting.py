@@ -66,9 +66,7 @@ def checked(before: Blueprint, after: Blueprint | Failure, rounding: float = 1e-
         assert len(part.solid.components()) == 1, part.name
         assert len(torn_edges(welded(part.solid)[1])) == 0, part.name
     for a, b in itertools.combinations(after.parts, 2):
-        # Bone and skin of one body share a whole surface, so their rounding adds up, cut or not (see test_finish).
-        most = 1e-7 if a.body == b.body and a.material != b.material else 1e-9
-        assert a.solid.overlap(b.solid) < most, (a.name, b.name)
+        assert a.solid.overlap(b.solid) < 1e-12, (a.name, b.name)
     for index in range(len(after.bodies)):
         for material in ("rigid", "soft"):
             old = [p.solid for p in before.parts if p.body == index and p.material == material]
@@ -202,8 +200,7 @@ def cut(built: Outcome) -> Blueprint:
     assert isinstance(refused, Failure)
     assert refused.reason is Reason.TOO_LARGE
     made = FinishSolver(split=True).solve(ready.blueprint)
-    # 0.3 cm3 of 6 litres: 15 micrometres of surface.
-    return checked(built.blueprint, made, 3e-7)
+    return checked(built.blueprint, made, 1e-9)
 
 
 def test_a_robot_is_cut_and_its_files_know_the_pieces(cut: Blueprint) -> None:
