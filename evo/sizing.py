@@ -3,7 +3,8 @@
 A round: the pipeline scores the design with a catalogue, a gait is searched on the robot that comes out, its torques
 and speeds say what is needed, and `mfg.selection` chooses the next catalogue. Motors that do not fit the body are left
 out as the rounds meet them. The start is the lightest motor that fits, so that the climb ends at the first one that
-bears its own robot; `Margins.drivers` says whether motors that this program cannot drive count.
+bears its own robot; `Margins.drivers` says whether motors that this program cannot drive count. A body can be built
+with chosen parts if its sizing ends FIXED; every other end is a failure of that body.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue
 from mfg.component_file import Library
 from mfg.description import describe
-from mfg.outcome import Failure
+from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score
+from mfg.repair import progress as reached
 from mfg.selection import JointNeed, Margins, Needs, Selection, Unmet, controllers_for, select, suits, unmet
 from sim.actor import Gait
 from sim.gaits import SCREENING, GaitBudget, search_gait
@@ -31,6 +33,11 @@ from sim.rollout import Diverged, roll_out
 ROUNDS = 6
 WORK = 10.0  # length of the rollout in which needs are measured [s]
 SHARE = 0.99  # quantile over time that counts as a peak: what is above it lasts a hundredth of the time, as impacts do
+
+PART_STAGES = {
+    "motor": Stage.MOTOR, "battery": Stage.ELECTRONICS, "controller": Stage.ELECTRONICS, "wire": Stage.WIRE,
+}  # fmt: skip
+PAST_MOTORS = (Stage.ELECTRONICS, Stage.WIRE, Stage.PRINT)  # where another controller may help
 
 Score = Callable[[VoxelDesign, Catalogue], Outcome]
 
@@ -71,8 +78,9 @@ class Sized:
 
     Attributes:
         catalogue: whose parts bear the robot that they make; None where there is none.
-        outcome: of the pipeline with that catalogue, or of the last try.
+        outcome: of the pipeline with that catalogue, or of the try that got furthest.
         end: how it ended.
+        failure: why the body cannot be built with chosen parts; None where the end is FIXED.
         reason: one line for people.
         rounds: what was needed and chosen.
         refused: (motor, why the body does not take it), as met.
@@ -81,9 +89,19 @@ class Sized:
     catalogue: Catalogue | None
     outcome: Outcome
     end: End
+    failure: Failure | None
     reason: str
     rounds: tuple[Round, ...]
     refused: tuple[tuple[str, Failure], ...]
+
+    @property
+    def verdict(self) -> Outcome:
+        """The outcome as commands judge it: with this failure, or with a note of what was chosen."""
+        if self.failure is not None:
+            return replace(self.outcome, failure=self.failure)
+        catalogue = self.outcome.blueprint.catalogue
+        note = f"parts chosen in {len(self.rounds)} round(s): {', '.join(_names(catalogue))}; {self.reason}"
+        return replace(self.outcome, blueprint=self.outcome.blueprint.noted(note))
 
 
 def sized(
@@ -110,8 +128,7 @@ def sized(
     body = _Body(design, base, parts, solve, margins)
     started = body.first()
     if started is None:
-        why = str(body.last.failure) if body.last is not None else "there are no parts"
-        return body.ended(None, End.NO_FIT, f"no motor fits the body, the last one failed at {why}", ())
+        return body.unfit()
     outcome, done = started, list[Round]()
     for number in range(1, rounds + 1):
         catalogue = outcome.blueprint.catalogue
@@ -120,26 +137,30 @@ def sized(
         try:
             this = _measured(outcome.blueprint, seed, budget, duration, parts, base, margins)
         except Diverged as error:
-            return body.ended(None, End.NO_FIT, f"no gait to size from: {error}", done)
+            # Physics that explodes says nothing about the body, so it is a lost measurement.
+            reason = f"no gait to size from: {error}"
+            failure = Failure(Stage.WORKER, Reason.CRASHED, reason)
+            return body.ended(None, outcome, End.NO_FIT, reason, done, failure)
         done.append(this)
         following = body.next(this)
         if isinstance(following, Unmet):
-            kept = _best(done)
-            return body.ended(kept, End.NO_FIT if kept is None else End.CYCLE, _no_fit(following, body, kept), done)
+            kept, reason = _best(done), _no_fit(following, body, _best(done))
+            failure = Failure(PART_STAGES[following.what], Reason.NO_PART, reason)
+            return body.ended(kept, outcome, End.NO_FIT if kept is None else End.CYCLE, reason, done, failure)
         names = _names(following.blueprint.catalogue)
         if names == _names(catalogue):
-            return body.ended(following, End.FIXED, f"{catalogue.motor.name} bears its own robot", done)
+            return body.ended(catalogue, outcome, End.FIXED, f"{catalogue.motor.name} bears its own robot", done)
         earlier = [r for r in done if _names(r.catalogue) == names]
         if earlier:
             cycle = done[done.index(earlier[0]) :]
             kept = _best(cycle)
             path = " > ".join(" + ".join(_names(r.catalogue)) for r in cycle)
             verdict = "none of them bears its own robot" if kept is None else f"kept {kept.motor.name}, which does"
-            return body.ended(kept, End.CYCLE, f"the choice goes round: {path}; {verdict}", done)
+            return body.unsettled(kept, outcome, End.CYCLE, f"the choice goes round: {path}; {verdict}", done)
         outcome = following
     kept = _best(done)
     verdict = "none bore its own robot" if kept is None else f"kept {kept.motor.name}, which bears its own robot"
-    return body.ended(kept, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
+    return body.unsettled(kept, outcome, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
 
 
 def needs_of(model: Model, gait: Gait, duration: float, seconds: float = WORK) -> Needs:
@@ -184,7 +205,7 @@ class _Body:
         self.design, self.base, self.parts, self.solve, self.margins = design, base, parts, solve, margins
         self.refused: dict[str, Failure] = {}
         self.tried: dict[tuple[str, ...], Outcome] = {}
-        self.last: Outcome | None = None
+        self.closest: Outcome | None = None  # of the tries that failed
 
     def first(self) -> Outcome | None:
         """The design with the first motor that fits it, in the order of preference, and the lightest other parts."""
@@ -201,6 +222,8 @@ class _Body:
             outcome = self.fitted(catalogue, len(self.design.joints))
             if outcome.ok:
                 return outcome
+            if outcome.blueprint.tree is None:
+                return None  # Not even a skeleton: no part mends that.
         return None
 
     def next(self, this: Round) -> Outcome | Unmet:
@@ -224,19 +247,41 @@ class _Body:
             if names not in self.tried:
                 self.tried[names] = self.solve(self.design, parts)
             outcome = self.tried[names]
-            if outcome.ok:
+            if outcome.failure is None:
                 return outcome
+            if self.closest is None or reached(outcome) > reached(self.closest):
+                self.closest = outcome
+            if outcome.failure.stage not in PAST_MOTORS:
+                break
         assert outcome is not None and outcome.failure is not None  # noqa: PT018 - one fact about the loop above
-        self.last = outcome
         self.refused.setdefault(catalogue.motor.name, outcome.failure)
         return outcome
 
-    def ended(self, kept: Catalogue | Outcome | None, end: End, reason: str, done: list[Round] | tuple[()]) -> Sized:
-        catalogue = kept.blueprint.catalogue if isinstance(kept, Outcome) else kept
-        outcome = self.last if catalogue is None else self.tried[_names(catalogue)]
-        if outcome is None:
-            outcome = next(iter(self.tried.values())) if self.tried else self.solve(self.design, self.base)
-        return Sized(catalogue, outcome, end, reason, tuple(done), tuple(self.refused.items()))
+    def ended(
+        self, kept: Catalogue | None, last: Outcome, end: End, reason: str, done: list[Round],
+        failure: Failure | None = None,
+    ) -> Sized:  # fmt: skip
+        """The answer: with the catalogue that was kept, or with the last robot."""
+        outcome = last if kept is None else self.tried[_names(kept)]
+        return Sized(kept, outcome, end, failure, reason, tuple(done), tuple(self.refused.items()))
+
+    def unsettled(self, kept: Catalogue | None, last: Outcome, end: End, reason: str, done: list[Round]) -> Sized:
+        """The answer where the choice does not repeat."""
+        return self.ended(kept, last, end, reason, done, Failure(Stage.MOTOR, Reason.UNSETTLED, reason))
+
+    def unfit(self) -> Sized:
+        """The answer where the body takes no motor: the failure of the try that got furthest."""
+        if self.closest is None or self.closest.failure is None:
+            outcome = self.solve(self.design, self.base)
+            failure = Failure(Stage.MOTOR, Reason.NO_PART, "there is no motor with a battery, a controller and a wire")
+        else:
+            outcome, failure = self.closest, self.closest.failure
+        named = outcome.blueprint.tree is not None and failure is outcome.failure
+        if named:  # Else no motor is to blame.
+            tries = f"no motor of {len(self.refused)} fits; closest, {outcome.blueprint.catalogue.motor.name}"
+            failure = replace(failure, detail=f"{tries}: {failure.detail}")
+        refused = tuple(self.refused.items())
+        return Sized(None, outcome, End.NO_FIT, failure, f"no motor fits the body: {failure}", (), refused)
 
 
 def _names(catalogue: Catalogue) -> tuple[str, ...]:

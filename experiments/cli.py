@@ -33,6 +33,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 BAD_INPUT_ERRORS = frozenset({
     "decoder.design_file.DesignError", "mfg.manifest.ManifestError", "sim.model.ModelError",
     "hardware.document.BundleError", "evo.loop.ResumeError", "hardware.log.LogError", "decoder.weights.WeightsError",
+    "mfg.component_file.ComponentError",
 })  # fmt: skip
 
 STORY = """\

@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, ge
 import msgspec
 from msgspec import Meta, Struct
 
-from experiments.output import DECODERS, DEFAULT_DECODER, MOST_BODIES, SEED_BOUND, WEIGHTS_SUFFIX, BadInput
+from experiments.output import (
+    DECODERS,
+    DEFAULT_DECODER,
+    MOST_BODIES,
+    SEED_BOUND,
+    WEIGHTS_SUFFIX,
+    BadInput,
+    Catalogues,
+    Priors,
+    Solvers,
+)
 from experiments.policy_config import Policy
 from experiments.toml_text import flat, toml_table, toml_value
 
@@ -30,7 +40,6 @@ Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
 Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
 Film = Annotated[float, Meta(ge=0.0, le=100.0)]
 Workers = Annotated[int, Meta(ge=0, le=1024)]
-Solver = Literal["paper", "search"]
 DecoderName = Annotated[
     str,
     Meta(
@@ -39,15 +48,9 @@ DecoderName = Annotated[
         examples=list(DECODERS),
     ),
 ]
-CatalogueName = Literal["paper"]
-Prior = Literal["normal", "uniform"]
+Folder = Annotated[str, Meta(min_length=1)]
 
 NO_RESULT = ("workers", "film")  # keys that change no number of a run
-
-# Words of the design that this version does not know yet.
-LATER = {
-    ("catalogue", "auto"): "the choice of components per joint",
-}
 
 
 class Search(Struct, frozen=True, forbid_unknown_fields=True):
@@ -155,7 +158,9 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
         decoder: what turns latents into bodies: a name, or a file of weights for the learned decoder; in a
             configuration file its path is relative to that file.
         solver: how manufacturing constraints are solved.
-        catalogue: which components.
+        catalogue: which components: the paper's, or "auto" for those that each robot's own gait asks for.
+        parts: with "auto", a folder of component files to choose from too; in a configuration file its path is
+            relative to that file.
         workers: processes; none given means one per core. It changes no result.
         film: length of the winner's film [s], 0 for none. It changes no result.
         timeout: how long one evaluation may take before it is stopped [s]; a hang, for whatever takes seconds.
@@ -169,8 +174,9 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["evolve"]
     seed: Seed = 0
     decoder: DecoderName = DEFAULT_DECODER
-    solver: Solver = "paper"
-    catalogue: CatalogueName = "paper"
+    solver: Solvers = "paper"
+    catalogue: Catalogues = "paper"
+    parts: Folder | None = None
     workers: Workers | None = None
     film: Film = 6.0
     timeout: Annotated[float, Meta(ge=1.0, le=1e6)] = 1800.0
@@ -192,7 +198,10 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
             configuration file its path is relative to that file.
         prior: law of the latents.
         solver: how manufacturing constraints are solved.
-        catalogue: which components.
+        catalogue: which components: the paper's, or "auto" for those that each robot's own gait asks for.
+        parts: with "auto", a folder of component files to choose from too; in a configuration file its path is
+            relative to that file.
+        repair: whether bodies that cannot be built are changed as little as helps; they are counted apart.
         workers: processes; none given means one per core. It changes no result.
     """
 
@@ -200,9 +209,11 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
     n: Annotated[int, Meta(ge=1, le=MOST_BODIES)] = 1000
     seed: Seed = 0
     decoder: DecoderName = DEFAULT_DECODER
-    prior: Prior = "normal"
-    solver: Solver = "paper"
-    catalogue: CatalogueName = "paper"
+    prior: Priors = "normal"
+    solver: Solvers = "paper"
+    catalogue: Catalogues = "paper"
+    parts: Folder | None = None
+    repair: bool = False
     workers: Workers | None = None
 
 
@@ -214,7 +225,9 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
         design: the file (.npz or .vox); in a configuration file its path is relative to that file.
         seed: of the search for a gait.
         solver: how manufacturing constraints are solved.
-        catalogue: which components.
+        catalogue: which components: the paper's, or "auto" for those that each robot's own gait asks for.
+        parts: with "auto", a folder of component files to choose from too; in a configuration file its path is
+            relative to that file.
         film: length of the film [s], 0 for none. It changes no result.
         gait: budget of the search.
     """
@@ -222,8 +235,9 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["sketch"]
     design: Annotated[str, Meta(min_length=1)]
     seed: Seed = 0
-    solver: Solver = "paper"
-    catalogue: CatalogueName = "paper"
+    solver: Solvers = "paper"
+    catalogue: Catalogues = "paper"
+    parts: Folder | None = None
     film: Film = 6.0
     gait: ThoroughGait = ThoroughGait()
 
@@ -241,6 +255,8 @@ def load_config(path: Path) -> Config:
     """
     document = read_document(path)
     config = parse_config(document, str(path))
+    if not isinstance(config, Policy) and config.parts is not None:
+        config = msgspec.structs.replace(config, parts=str((path.parent / config.parts).resolve()))
     if isinstance(config, Sketch):
         return msgspec.structs.replace(config, design=str((path.parent / config.design).resolve()))
     if isinstance(config, Policy):
@@ -297,8 +313,12 @@ def parse_config(document: dict[str, Any], name: str) -> Config:
             raise BadInput(f"{name}: kind is missing; add a line kind = {known}")
         if kind == "train-decoder":
             raise BadInput(f'{name}: kind = "{kind}"; give this file to `bodyplan train-decoder`')
-        raise BadInput(f"{name}: kind = {_shown(kind)}; it must be {known}{_remedy('kind', kind, list(KINDS))}")
-    return checked(document, KINDS[kind], name)
+        raise BadInput(f"{name}: kind = {_shown(kind)}; it must be {known}{_remedy(kind, list(KINDS))}")
+    config = checked(document, KINDS[kind], name)
+    if not isinstance(config, Policy) and config.parts is not None and config.catalogue != "auto":
+        raise BadInput(f"{name}: parts = {_shown(config.parts)}; there is nothing to choose from them but with "
+                       'catalogue = "auto"')  # fmt: skip
+    return config
 
 
 def to_toml(config: Struct) -> str:
@@ -325,7 +345,7 @@ def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: s
     for key, value in document.items():
         full = prefix + key
         if key not in hints:
-            raise BadInput(f"{name}: unknown key {full}{_remedy(key, key, list(hints), nouns=True)}")
+            raise BadInput(f"{name}: unknown key {full}{_remedy(key, list(hints), nouns=True)}")
         hint = hints[key]
         if isinstance(hint, type) and issubclass(hint, Struct):
             if not isinstance(value, dict):
@@ -339,7 +359,7 @@ def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: s
             finite = False
         if not finite:
             raise BadInput(
-                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(key, value, _choices(hint))}"
+                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(value, _choices(hint))}"
             )
     for field in msgspec.structs.fields(record):
         if field.required and field.name not in document:
@@ -348,6 +368,8 @@ def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: s
 
 def _allowed(hint: Any) -> str:
     """What a key takes, in words."""
+    if hint is bool:
+        return "true | false"
     if get_origin(hint) is Literal:
         return " | ".join(f'"{choice}"' for choice in get_args(hint))
     plain = [part for part in get_args(hint) if part is not type(None)]
@@ -368,10 +390,8 @@ def _choices(hint: Any) -> list[str]:
     return next((list(meta.examples or ()) for meta in get_args(hint) if isinstance(meta, Meta)), [])
 
 
-def _remedy(key: str, value: object, known: list[str], nouns: bool = False) -> str:
-    """The end of a message: what was probably meant, or when it will come."""
-    if isinstance(value, str) and (key, value) in LATER:
-        return f"; {LATER[key, value]} arrives in a later version"
+def _remedy(value: object, known: list[str], nouns: bool = False) -> str:
+    """The end of a message: what was probably meant."""
     close = difflib.get_close_matches(str(value), known, n=1)
     if close:
         return f"; did you mean {close[0]}?" if nouns else f'; did you mean "{close[0]}"?'

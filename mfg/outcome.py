@@ -29,6 +29,8 @@ class Reason(StrEnum):
     NO_MOTION = "no_motion"
     NO_OVERLAP = "no_overlap"
     WEAK_MOUNT = "weak_mount"
+    NO_PART = "no_part"
+    UNSETTLED = "unsettled"
     MOTOR_COLLISION = "motor_collision"
     BONE_SEVERED = "bone_severed"
     NO_ROOM = "no_room"

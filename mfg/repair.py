@@ -39,6 +39,10 @@ class Change:
     design: VoxelDesign
     size: float
 
+    def __str__(self) -> str:
+        """One line for people."""
+        return f"{self.what} ({self.size:+.0%} bone)"
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Repair:
@@ -60,18 +64,18 @@ class Repair:
         return self.outcome.ok
 
 
-def repaired(design: VoxelDesign, judge: Judge, rounds: int = ROUNDS) -> Repair:
+def repaired(start: Outcome, judge: Judge, rounds: int = ROUNDS) -> Repair:
     """Change a body until it can be built, the smallest change first.
 
     Every round takes the changes that could mend what the judge says, in order of size, and keeps the first that
     passes, or else the one that gets furthest (of several, the smallest); it ends where no change gets any further.
 
     Args:
-        design: the body.
+        start: what the judge said of the body as it is.
         judge: e.g. `mfg.pipeline.score` by some rules; the answer must depend on the design alone.
         rounds: most changes on top of each other.
     """
-    start = outcome = judge(design)
+    outcome = start
     changes: list[Change] = []
     tried = 1
     for _ in range(rounds):

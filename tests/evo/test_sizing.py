@@ -15,6 +15,7 @@ from evo.sizing import End, Round, Sized, needs_of, sized
 from mfg.catalogue import Motor
 from mfg.component_file import Library, read_library
 from mfg.description import describe
+from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import score
 from mfg.selection import JointNeed, Margins, Needs, select, unmet
@@ -142,3 +143,28 @@ def test_needs_are_those_of_the_rollout(quadruped: VoxelDesign):
         assert need.rms_torque <= need.peak_torque <= rollout.peak_torque[0, k] + 1e-9 <= motor.peak_torque + 1e-6
         assert 0.0 <= need.speed <= need.top_speed
     assert 1 / len(needs.joints) <= needs.together <= 1.0
+
+
+def test_only_what_ends_fixed_has_no_failure(monkeypatch, quadruped: VoxelDesign, robot: Sized):
+    assert (robot.end, robot.failure, robot.verdict.ok) == (End.FIXED, None, True)
+    light, heavy = (m for m in LIBRARY.motors if m.name in ("DM-J4310-2EC", "CyberGear"))
+    scripted(monkeypatch, {light.name: 8.0, heavy.name: 2.0})
+    cycle = sized(quadruped, np.random.default_rng(1), LIBRARY.only([light, heavy]))
+    assert cycle.outcome.ok
+    assert cycle.failure == cycle.verdict.failure == Failure(Stage.MOTOR, Reason.UNSETTLED, cycle.reason)
+    assert cycle.verdict.blueprint is cycle.outcome.blueprint
+
+
+def test_no_other_controller_is_tried_where_the_motors_fail(quadruped: VoxelDesign):
+    huge = replace(PAPER.motor, name="huge", diameter=0.19, length=0.2, voltage_range=(18.0, 36.0))
+    tried: list[str] = []
+
+    def counted(design, catalogue):
+        tried.append(catalogue.computer.name)
+        return score(design, catalogue)
+
+    assert len(LIBRARY.controllers) > 1
+    found = sized(quadruped, np.random.default_rng(1), LIBRARY.only([huge]), solve=counted)
+    assert found.failure is not None
+    assert found.failure.stage in (Stage.SKELETON, Stage.MOTOR)
+    assert len(tried) == 1

@@ -17,6 +17,7 @@ import pytest
 from decoder.genome import GenomeDecoder
 from decoder.weights import Weights, load_weights, save_weights
 from evo.evaluation import Candidate, Evaluation, Walk
+from evo.judge import Judge
 from experiments import best, run, run_folder
 from mfg.outcome import Failure, Reason, Scores, Stage
 from mfg.parts import PAPER
@@ -209,7 +210,7 @@ def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
     with monkeypatch.context() as changed:
         if what == "components":
             heavier = replace(PAPER, motor=replace(PAPER.motor, mass=0.481))
-            changed.setattr("experiments.build.catalogue_of", lambda _: heavier)
+            changed.setattr("experiments.judging.judge_of", lambda *_: Judge(catalogue=heavier))
         elif what == "solvers":
             changed.setattr("mfg.pipeline.RULES", {"paper": BUILDING[:-1]})
         else:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from evo.evaluation import Candidate, Evaluation
+from evo.judge import DEFAULT_JUDGE
 from experiments import study
 from mfg.outcome import Failure, Reason, Scores, Stage
 
@@ -161,7 +162,7 @@ def test_pictures_of_designs_that_passed_and_failed(tmp_path: Path) -> None:
 
     config = Study("study", n=3, seed=1, decoder="genome")
     latents = study._latents(config)
-    scorer = study.Score("genome", "paper")
+    scorer = study.Score("genome", DEFAULT_JUDGE)
     evaluations = [scorer(Candidate(0, k, latents[k])) for k in range(2)]
     study._draw_examples(config, evaluations, tmp_path / "sheet.png", 0)
     assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
