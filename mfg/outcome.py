@@ -51,7 +51,7 @@ class Failure:
         stage: where it failed.
         reason: why.
         detail: the closest miss in words, with numbers.
-        miss: the same for programs, where the solver says so; not shown and not compared.
+        miss: the same for programs, where a joint or a body is to blame; not shown and not compared.
     """
 
     stage: Stage

@@ -126,9 +126,8 @@ def _edits(outcome: Outcome, failure: Failure) -> Iterator[tuple[str, Callable[[
     if not blueprint.bodies or failure.reason is Reason.TOO_LARGE:
         return
     radius = REACH * mount_of(blueprint.catalogue.motor).envelope_radius
-    for hinge in blueprint.hinges:
-        if not _names(failure, hinge.name):
-            continue
+    joints, bodies = (failure.miss.joints, failure.miss.bodies) if failure.miss is not None else ((), ())
+    for hinge in (blueprint.hinges[joint] for joint in joints):
         for index, voxels in itertools.product((hinge.parent, hinge.body), THICKER):
             segment = blueprint.bodies[index].segment
             what = (
@@ -141,10 +140,9 @@ def _edits(outcome: Outcome, failure: Failure) -> Iterator[tuple[str, Callable[[
                 f"segments {a} and {b} thicker by {voxels:g} voxel(s) near {hinge.name}",
                 lambda v=voxels, c=hinge.position, a=a, b=b: grown(grown(design, a, v, c, radius), b, v, c, radius),  # type: ignore[misc]
             )
-    named = [body for body in blueprint.bodies if _names(failure, body.name)]
-    if failure.stage is Stage.ELECTRONICS and not named:
-        named = list(blueprint.bodies)
-    for body, voxels in itertools.product(named, THICKER):
+    if failure.stage is Stage.ELECTRONICS and not bodies:
+        bodies = tuple(range(len(blueprint.bodies)))
+    for body, voxels in itertools.product((blueprint.bodies[index] for index in bodies), THICKER):
         what = f"segment {body.segment} ({body.name}) thicker by {voxels:g} voxel(s) all over"
         yield what, lambda s=body.segment, v=voxels: grown(design, s, v)  # type: ignore[misc]
 
@@ -168,12 +166,6 @@ def _parted(design: VoxelDesign, pairs: list[tuple[int, int]]) -> VoxelDesign:
     for a, b in pairs:
         design = cleft(design, a, b)
     return design
-
-
-def _names(failure: Failure, name: str) -> bool:
-    """Whether a failure speaks of a joint or body, which it calls by its name in every exported file."""
-    words = failure.detail.replace(",", " ").replace(":", " ").replace(")", " ").replace(";", " ").split()
-    return name in words
 
 
 def _size(before: VoxelDesign, after: VoxelDesign) -> float:
