@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from mfg.catalogue import Catalogue
 from mfg.component_file import Library
 from mfg.parts import PAPER
 from mfg.pipeline import RULES, Outcome, Rules, run, score
+
+if TYPE_CHECKING:
+    from evo.sizing import Sized
 
 Progress = Callable[[int, int, str], None]
 
@@ -43,11 +47,8 @@ class Judge:
         """
         if self.library is None:
             return score(design, self.catalogue, self.rules)
-        from evo.sizing import sized  # the simulator is loaded where parts are sized, and only there.
-
         start = time.perf_counter()
-        rng = np.random.default_rng(int(design.key, 16))
-        found = sized(design, rng, self.library, base=self.catalogue, solve=self._solve, progress=progress).verdict
+        found = self.sized(design, self.library, progress).verdict
         spent = time.perf_counter() - start - sum(found.seconds.values())
         return replace(found, seconds=found.seconds | {"sizing": spent})
 
@@ -58,6 +59,13 @@ class Judge:
             return scored
         built = run(RULES[self.rules][-1:], scored.blueprint)
         return replace(built, seconds=scored.seconds | built.seconds)
+
+    def sized(self, design: VoxelDesign, library: Library, progress: Progress | None = None) -> Sized:
+        """The parts of a library that bear the robot that they make of a design, round by round."""
+        from evo.sizing import sized  # the simulator is loaded where parts are sized, and only there.
+
+        rng = np.random.default_rng(int(design.key, 16))
+        return sized(design, rng, library, base=self.catalogue, solve=self._solve, progress=progress)
 
     def _solve(self, design: VoxelDesign, catalogue: Catalogue) -> Outcome:
         return score(design, catalogue, self.rules)

@@ -4,7 +4,8 @@ A round: the pipeline scores the design with a catalogue, a gait is searched on 
 and speeds say what is needed, and `mfg.selection` chooses the next catalogue. Motors that do not fit the body are left
 out as the rounds meet them. The start is the lightest motor that fits, so that the climb ends at the first one that
 bears its own robot; `Margins.drivers` says whether motors that this program cannot drive count. A body can be built
-with chosen parts if its sizing ends FIXED; every other end is a failure of that body.
+with chosen parts if some choice bears the robot that it makes: where the choice repeats (FIXED), or, where it goes
+round or no part meets what one robot of it needs, if another robot of it bears itself.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Sized:
         catalogue: whose parts bear the robot that they make; None where there is none.
         outcome: of the pipeline with that catalogue, or of the try that got furthest.
         end: how it ended.
-        failure: why the body cannot be built with chosen parts; None where the end is FIXED.
+        failure: why the body cannot be built with chosen parts; None where there is a catalogue.
         reason: one line for people.
         rounds: what was needed and chosen.
         refused: (motor, why the body does not take it), as met.
@@ -262,8 +263,8 @@ class _Body:
         failure: Failure | None = None,
     ) -> Sized:  # fmt: skip
         """The answer: with the catalogue that was kept, or with the last robot."""
-        outcome = last if kept is None else self.tried[_names(kept)]
-        return Sized(kept, outcome, end, failure, reason, tuple(done), tuple(self.refused.items()))
+        outcome, why = (last, failure) if kept is None else (self.tried[_names(kept)], None)
+        return Sized(kept, outcome, end, why, reason, tuple(done), tuple(self.refused.items()))
 
     def unsettled(self, kept: Catalogue | None, last: Outcome, end: End, reason: str, done: list[Round]) -> Sized:
         """The answer where the choice does not repeat."""

@@ -83,8 +83,9 @@ class Work:
     def _auto(self, design: Any) -> dict[str, Any]:
         from evo.judge import Judge
 
-        outcome = Judge("search", library=_library()).score(design)
-        return {"auto": _verdict(outcome) | {"catalogue": outcome.to_json()["catalogue"]}}
+        found = Judge("search").sized(design, _library())
+        told = {"end": str(found.end), "rounds": len(found.rounds), "why": found.reason}
+        return {"auto": _verdict(found.verdict) | told | {"catalogue": found.outcome.to_json()["catalogue"]}}
 
 
 def main() -> int:

@@ -54,7 +54,15 @@ def table(verdicts: Verdicts) -> tuple[str, dict[str, Any]]:
     for stage in ORDER:
         for reason in sorted({name for found in reasons.values() for name in found if name.startswith(f"{stage}: ")}):
             lines.append(_row(reason, [str(found.get(reason, 0)) for found in reasons.values()]))
+    ends = Counter(v["end"] for v in verdicts.get("auto", {}).values() if v["outcome"] == "passed")
+    if ends:
+        how = ", ".join(f"{number} end {end}" for end, number in sorted(ends.items()))
+        lines += [
+            "",
+            f"Parts sized: {how} (fixed: the choice repeats; else another of the choices bears its own robot).",
+        ]
     result = {
+        "ends_of_sizing": dict(sorted(ends.items())),
         "rules": {rules: _numbers(c) | {"reasons": reasons[rules]} for rules, c in counts.items()},
         "paired": {name: _pair(pair) for name, pair in pairs.items()},
     }

@@ -77,7 +77,7 @@ def test_sized_parts_go_into_the_blueprint_and_are_told(quadruped: VoxelDesign, 
     assert set(built.seconds) == {*first.seconds, "finish"}
 
 
-def test_a_sizing_that_does_not_end_fixed_is_a_failure_of_one_line(
+def test_parts_that_do_not_bear_their_robot_are_a_failure_of_one_line(
     monkeypatch: pytest.MonkeyPatch, quadruped: VoxelDesign
 ):
     weak = replace(PAPER.motor, name="weak", peak_torque=1.0, continuous_torque=0.2, voltage_range=(18.0, 36.0))

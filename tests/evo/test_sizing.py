@@ -145,14 +145,21 @@ def test_needs_are_those_of_the_rollout(quadruped: VoxelDesign):
     assert 1 / len(needs.joints) <= needs.together <= 1.0
 
 
-def test_only_what_ends_fixed_has_no_failure(monkeypatch, quadruped: VoxelDesign, robot: Sized):
+def test_a_body_passes_if_some_choice_bears_the_robot_that_it_makes(monkeypatch, quadruped: VoxelDesign, robot: Sized):
     assert (robot.end, robot.failure, robot.verdict.ok) == (End.FIXED, None, True)
     light, heavy = (m for m in LIBRARY.motors if m.name in ("DM-J4310-2EC", "CyberGear"))
     scripted(monkeypatch, {light.name: 8.0, heavy.name: 2.0})
-    cycle = sized(quadruped, np.random.default_rng(1), LIBRARY.only([light, heavy]))
-    assert cycle.outcome.ok
-    assert cycle.failure == cycle.verdict.failure == Failure(Stage.MOTOR, Reason.UNSETTLED, cycle.reason)
-    assert cycle.verdict.blueprint is cycle.outcome.blueprint
+    kept = sized(quadruped, np.random.default_rng(1), LIBRARY.only([light, heavy]))
+    assert (kept.end, kept.failure, kept.verdict.ok) == (End.CYCLE, None, True)
+    assert kept.verdict.blueprint.catalogue.motor == heavy
+    assert "goes round" in kept.verdict.blueprint.notes[-1]
+    ladder = [replace(PAPER.motor, name=f"step {k}", mass=0.3 + k / 100, peak_torque=1.0 + k, continuous_torque=0.5,
+                      voltage_range=(18.0, 36.0)) for k in range(9)]  # fmt: skip
+    scripted(monkeypatch, {m.name: (m.peak_torque + 0.5) / 1.25 for m in ladder})
+    lost = sized(quadruped, np.random.default_rng(1), LIBRARY.only(ladder), rounds=3)
+    assert lost.outcome.ok
+    assert lost.failure == lost.verdict.failure == Failure(Stage.MOTOR, Reason.UNSETTLED, lost.reason)
+    assert lost.verdict.blueprint is lost.outcome.blueprint
 
 
 def test_no_other_controller_is_tried_where_the_motors_fail(quadruped: VoxelDesign):
