@@ -46,10 +46,10 @@ def main(args: argparse.Namespace) -> int:
     if args.slice:
         _need_slicer()
     design = read_design(args.design)
+    judge = judge_of(args.solver, args.catalogue, args.parts)
     # Made before the work, so that a folder that cannot be written to is found at once.
     existed = args.out.is_dir()
     folder = make_folder(args.out)
-    judge = judge_of(args.solver, args.catalogue, args.parts)
     outcome = judge.build(design, tell_round)
     if not outcome.ok and args.repair:
         outcome = _repaired(outcome, judge, args.design)

@@ -234,7 +234,8 @@ def test_the_rules_on_offer_are_those_of_the_pipeline():
 def test_solvers_and_components_can_be_chosen_wherever_designs_are_solved(bodyplan, command):
     said = bodyplan(command, "--help")
     assert "--solver {paper,search}" in said.out
-    assert "--catalogue {paper}" in said.out
+    assert "--catalogue {paper,auto}" in said.out
+    assert "--parts DIR" in said.out
 
 
 def test_a_seed_may_be_zero_and_must_fit_the_run_file():
