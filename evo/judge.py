@@ -11,7 +11,7 @@ import numpy as np
 
 from decoder.design import VoxelDesign
 from mfg.catalogue import Catalogue
-from mfg.component_file import Library
+from mfg.library import Library
 from mfg.parts import PAPER
 from mfg.pipeline import RULES, Outcome, Rules, run, score
 

@@ -19,8 +19,8 @@ import numpy as np
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue
-from mfg.component_file import Library
 from mfg.description import describe
+from mfg.library import Library
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score

@@ -1,16 +1,12 @@
-"""Typed configuration files: TOML in, frozen records out, and one clear line for anything that is wrong."""
+"""The configuration of every experiment: frozen records, read from TOML files and written to them."""
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-import math
 import re
-import tomllib
-import typing
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
@@ -27,14 +23,13 @@ from experiments.output import (
     Solvers,
 )
 from experiments.policy_config import Policy
+from experiments.toml_document import checked, read_document, remedy, shown
 from experiments.toml_text import flat, toml_table, toml_value
 
 if TYPE_CHECKING:
     from evo.evaluate import Learning as Rung
     from evo.fitness import FitnessRule
     from sim.gaits import GaitBudget
-
-S = TypeVar("S", bound=Struct)
 
 Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
 Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
@@ -266,36 +261,6 @@ def load_config(path: Path) -> Config:
     return config
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        BadInput: if it is none.
-        OSError: if it cannot be read.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise BadInput(f"{path} is not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path} is not a TOML file: {error}") from None
-
-
-def checked(document: dict[str, Any], record: type[S], name: str) -> S:
-    """Turn a document into its record.
-
-    Args:
-        document: tables and values.
-        record: what it must hold.
-        name: of the file, for messages.
-
-    Raises:
-        BadInput: naming the key, its value, what is allowed and, for a typo, what was probably meant.
-    """
-    _refuse(document, record, name, "")
-    return msgspec.convert(document, record)
-
-
 def parse_config(document: dict[str, Any], name: str) -> Config:
     """Check a document read from TOML.
 
@@ -313,10 +278,10 @@ def parse_config(document: dict[str, Any], name: str) -> Config:
             raise BadInput(f"{name}: kind is missing; add a line kind = {known}")
         if kind == "train-decoder":
             raise BadInput(f'{name}: kind = "{kind}"; give this file to `bodyplan train-decoder`')
-        raise BadInput(f"{name}: kind = {_shown(kind)}; it must be {known}{_remedy(kind, list(KINDS))}")
+        raise BadInput(f"{name}: kind = {shown(kind)}; it must be {known}{remedy(kind, list(KINDS))}")
     config = checked(document, KINDS[kind], name)
     if not isinstance(config, Policy) and config.parts is not None and config.catalogue != "auto":
-        raise BadInput(f"{name}: parts = {_shown(config.parts)}; there is nothing to choose from them but with "
+        raise BadInput(f"{name}: parts = {shown(config.parts)}; there is nothing to choose from them but with "
                        'catalogue = "auto"')  # fmt: skip
     return config
 
@@ -336,74 +301,4 @@ def differences(then: Struct, now: Struct, free: Sequence[str] = NO_RESULT) -> l
     """What two configurations disagree on, but for the keys that are free to differ: those that change no result."""
     before, after = dict(flat(then)), dict(flat(now))
     keys = [key for key in {**before, **after} if key not in free and before.get(key) != after.get(key)]
-    return [f"{key} was {_shown(before.get(key))} and is now {_shown(after.get(key))}" for key in keys]
-
-
-def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: str) -> None:
-    """Find the first thing that is wrong, in the order of the file."""
-    hints = typing.get_type_hints(record, include_extras=True)
-    for key, value in document.items():
-        full = prefix + key
-        if key not in hints:
-            raise BadInput(f"{name}: unknown key {full}{_remedy(key, list(hints), nouns=True)}")
-        hint = hints[key]
-        if isinstance(hint, type) and issubclass(hint, Struct):
-            if not isinstance(value, dict):
-                raise BadInput(f"{name}: {full} = {_shown(value)}; it must be a table: write [{full}]")
-            _refuse(value, hint, name, full + ".")
-            continue
-        finite = not isinstance(value, float) or math.isfinite(value)
-        try:
-            msgspec.convert(value, hint)
-        except msgspec.ValidationError:
-            finite = False
-        if not finite:
-            raise BadInput(
-                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(value, _choices(hint))}"
-            )
-    for field in msgspec.structs.fields(record):
-        if field.required and field.name not in document:
-            raise BadInput(f"{name}: {prefix}{field.name} is missing; it must be {_allowed(hints[field.name])}")
-
-
-def _allowed(hint: Any) -> str:
-    """What a key takes, in words."""
-    if hint is bool:
-        return "true | false"
-    if get_origin(hint) is Literal:
-        return " | ".join(f'"{choice}"' for choice in get_args(hint))
-    plain = [part for part in get_args(hint) if part is not type(None)]
-    if get_origin(hint) is not Annotated:  # X | None
-        return _allowed(plain[0])
-    base, meta = plain
-    if base is str:
-        return str(meta.description or "a text that is not empty")
-    low = f"({meta.gt:g}" if meta.gt is not None else f"[{meta.ge:g}"
-    noun = "a whole number" if base is int else "a number"
-    return f"{noun} in {low}, {meta.le if base is int else format(meta.le, 'g')}]"
-
-
-def _choices(hint: Any) -> list[str]:
-    """The names that a key takes."""
-    if get_origin(hint) is Literal:
-        return [str(choice) for choice in get_args(hint)]
-    return next((list(meta.examples or ()) for meta in get_args(hint) if isinstance(meta, Meta)), [])
-
-
-def _remedy(value: object, known: list[str], nouns: bool = False) -> str:
-    """The end of a message: what was probably meant."""
-    close = difflib.get_close_matches(str(value), known, n=1)
-    if close:
-        return f"; did you mean {close[0]}?" if nouns else f'; did you mean "{close[0]}"?'
-    return f"; known here are {', '.join(known)}" if nouns else ""
-
-
-def _shown(value: object) -> str:
-    """A value as one would write it in the file, cut short."""
-    if value is None:
-        return "not set"
-    try:
-        text = toml_value(value)
-    except TypeError:
-        text = "a table" if isinstance(value, dict) else str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return [f"{key} was {shown(before.get(key))} and is now {shown(after.get(key))}" for key in keys]

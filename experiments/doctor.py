@@ -181,7 +181,7 @@ def _serial() -> Finding:
 def _parts() -> dict[str, list[str]]:
     """What ships, by kind, each in a few words."""
     try:
-        from mfg.component_file import read_library
+        from mfg.library import read_library
     except ImportError:  # numpy is missing; that was said above.
         return {}
     library = read_library()

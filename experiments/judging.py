@@ -46,7 +46,7 @@ def judge_of(solver: Solvers, catalogue: Catalogues, parts: Path | str | None) -
         if parts is not None:
             raise BadInput(f"--parts {parts}: there is nothing to choose from them but with --catalogue auto")
         return Judge(solver)
-    from mfg.component_file import read_library
+    from mfg.library import read_library
 
     return Judge(solver, library=read_library(parts))
 

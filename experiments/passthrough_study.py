@@ -153,14 +153,17 @@ def read_verdicts(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def by_rules(lines: list[dict[str, Any]], n: int, limits: dict[str, int]) -> dict[str, dict[int, dict[str, Any]]]:
-    """Verdicts of the first bodies by rules and body; a body that the search passes needs no repair."""
+    """Verdicts by rules and body, of the first `n` bodies and for some rules of fewer.
+
+    A body that the search passes needs no repair, and one that it loses gets none.
+    """
     found: dict[str, dict[int, dict[str, Any]]] = {"paper": {}, "search": {}, "auto": {}, "repair": {}}
     for line in lines:
         for rules, verdict in line["verdicts"].items():
             if line["body"] < min(n, limits.get(rules, n)):
                 found[rules][line["body"]] = verdict
     for body, verdict in found["search"].items():
-        if body < limits["repair"] and verdict["outcome"] == "passed":
+        if body < limits["repair"] and not _refused(verdict):
             found["repair"][body] = verdict
     return {rules: dict(sorted(verdicts.items())) for rules, verdicts in found.items() if verdicts}
 
@@ -170,15 +173,13 @@ def _judge(args: argparse.Namespace, latents: NDArray[np.float32], lines: list[d
     from mfg.outcome import Failure
 
     done = {(line["body"], line["part"]) for line in lines}
-    refused = {
-        line["body"] for line in lines if line["verdicts"].get("search", {}).get("outcome", "passed") != "passed"
-    }
+    refused = {line["body"] for line in lines if _refused(line["verdicts"].get("search"))}
     workers = cores() if args.workers is None else args.workers
     with Pool[Task, "dict[str, Any]"](Work(args.decoder), workers, args.timeout) as pool:
         for part in RULES_OF:
             bodies = {
                 "rules": range(args.n),
-                "repair": sorted(body for body in refused if body < args.repair),
+                "repair": sorted(body for body in refused if body < min(args.n, args.repair)),
                 "auto": range(min(args.n, args.auto)),
             }[part]
             tasks = [Task(body, part, latents[body]) for body in bodies if (body, part) not in done]
@@ -186,8 +187,13 @@ def _judge(args: argparse.Namespace, latents: NDArray[np.float32], lines: list[d
                 if isinstance(answer, Failure):
                     answer = {"design": None, "verdicts": {rules: _failed(answer) for rules in RULES_OF[part]}}
                 _append(file, {"body": task.body, "part": part, **answer, "seconds": round(seconds, 3)})
-                if answer["verdicts"].get("search", {}).get("outcome", "passed") != "passed":
+                if _refused(answer["verdicts"].get("search")):
                     refused.add(task.body)
+
+
+def _refused(verdict: dict[str, Any] | None) -> bool:
+    """Whether solvers refused a body; one that was lost might be lost again."""
+    return verdict is not None and verdict["outcome"] not in ("passed", "worker")
 
 
 def _append(file: Any, line: dict[str, Any]) -> None:
@@ -223,7 +229,7 @@ def _decoder(name: str) -> Decoder:
 
 
 def _library() -> Any:
-    from mfg.component_file import read_library
+    from mfg.library import read_library
 
     return read_library()
 

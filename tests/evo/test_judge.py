@@ -14,7 +14,7 @@ from decoder.design import VoxelDesign
 from decoder.sketch import load_design
 from evo.judge import DEFAULT_JUDGE, Judge
 from evo.sizing import End, Sized, sized
-from mfg.component_file import Library, read_library
+from mfg.library import Library, read_library
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import build, score

@@ -13,8 +13,8 @@ from decoder.design import VoxelDesign
 from decoder.sketch import load_design
 from evo.sizing import End, Round, Sized, needs_of, sized
 from mfg.catalogue import Motor
-from mfg.component_file import Library, read_library
 from mfg.description import describe
+from mfg.library import Library, read_library
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import score

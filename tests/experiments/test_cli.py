@@ -212,7 +212,7 @@ def test_a_command_to_come_is_told_from_a_mistyped_one(bodyplan, command):
 
 def test_the_catalogues_on_offer_exist():
     from experiments.judging import judge_of
-    from mfg.component_file import read_library
+    from mfg.library import read_library
     from mfg.parts import PAPER
 
     libraries = {"paper": None, "auto": read_library()}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from evo.fitness import FitnessRule
 from experiments import config as c
-from experiments import output
+from experiments import output, toml_document
 from experiments.output import BadInput
 from sim.gaits import SCREENING, THOROUGH
 
@@ -213,5 +213,5 @@ def test_defaults_are_those_of_the_library() -> None:
 
 
 def test_choices_are_those_of_the_command_line() -> None:
-    assert tuple(c._choices(c.DecoderName)) == output.DECODERS
+    assert tuple(toml_document.choices(c.DecoderName)) == output.DECODERS
     assert c.Evolve("evolve").decoder == c.Study("study").decoder == output.DEFAULT_DECODER
