@@ -77,7 +77,7 @@ def experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bodyplan: Comman
     monkeypatch.setattr("evo.evaluate.Evaluate", Fake)
     monkeypatch.setattr("evo.evaluate.EvaluateTwin", Fake)
     monkeypatch.setattr("evo.evaluate.decode", lambda *_: None)
-    monkeypatch.setattr("mfg.pipeline.build", lambda *_: None)
+    monkeypatch.setattr("evo.judge.Judge.build", lambda *_: None)
     monkeypatch.setattr(best, "write_best", write_best)
     monkeypatch.setattr(Fake, "lame", 0)
     monkeypatch.setattr(run, "_write_report", lambda folder: (folder / "report.html").write_text("<html>"))
