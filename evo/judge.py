@@ -43,7 +43,7 @@ class Judge:
 
         Args:
             design: the body.
-            progress: told (round, rounds, motor) before each search of a gait, where parts are sized.
+            progress: told (round, rounds, names of the parts) before each search of a gait, where parts are sized.
         """
         if self.library is None:
             return score(design, self.catalogue, self.rules)

@@ -122,7 +122,7 @@ def sized(
         margins: of the choice, and which motors count.
         duration: of the work that the battery must last [s].
         rounds: at most.
-        progress: told (round, rounds, motor) before each gait search.
+        progress: told (round, rounds, names of the parts) before each gait search.
     """
     margins = margins or Margins()
     seed = int(rng.integers(2**63))
@@ -134,7 +134,7 @@ def sized(
     for number in range(1, rounds + 1):
         catalogue = outcome.blueprint.catalogue
         if progress is not None:
-            progress(number, rounds, catalogue.motor.name)
+            progress(number, rounds, " + ".join(_names(catalogue)))
         try:
             this = _measured(outcome.blueprint, seed, budget, duration, parts, base, margins)
         except Diverged as error:
@@ -156,11 +156,11 @@ def sized(
             cycle = done[done.index(earlier[0]) :]
             kept = _best(cycle)
             path = " > ".join(" + ".join(_names(r.catalogue)) for r in cycle)
-            verdict = "none of them bears its own robot" if kept is None else f"kept {kept.motor.name}, which does"
+            verdict = "none of them bears its own robot" if kept is None else f"kept {_kept(kept)}"
             return body.unsettled(kept, outcome, End.CYCLE, f"the choice goes round: {path}; {verdict}", done)
         outcome = following
     kept = _best(done)
-    verdict = "none bore its own robot" if kept is None else f"kept {kept.motor.name}, which bears its own robot"
+    verdict = "none bore its own robot" if kept is None else f"kept {_kept(kept)}"
     return body.unsettled(kept, outcome, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
 
 
@@ -289,6 +289,10 @@ def _names(catalogue: Catalogue) -> tuple[str, ...]:
     return catalogue.motor.name, catalogue.battery.name, catalogue.computer.name, catalogue.wire.name
 
 
+def _kept(catalogue: Catalogue) -> str:
+    return f"{' + '.join(_names(catalogue))}, which bears its own robot"
+
+
 def _best(rounds: list[Round]) -> Catalogue | None:
     """The catalogue of the lightest robot that bears itself."""
     able = [r for r in rounds if r.lacking is None]
@@ -298,4 +302,4 @@ def _best(rounds: list[Round]) -> Catalogue | None:
 def _no_fit(lack: Unmet, body: _Body, kept: Catalogue | None) -> str:
     refused = ", ".join(f"{name} ({failure.stage}: {failure.reason})" for name, failure in body.refused.items())
     text = f"{lack}" + (f"; the body does not take {refused}" if refused else "")
-    return text if kept is None else f"{text}; kept {kept.motor.name}, which bears its own robot"
+    return text if kept is None else f"{text}; kept {_kept(kept)}"

@@ -51,6 +51,6 @@ def judge_of(solver: Solvers, catalogue: Catalogues, parts: Path | str | None) -
     return Judge(solver, library=read_library(parts))
 
 
-def tell_round(number: int, rounds: int, motor: str) -> None:
+def tell_round(number: int, rounds: int, parts: str) -> None:
     """Say what the sizing of parts is at; a round takes seconds."""
-    say(f"sizing parts, round {number} of at most {rounds}: a gait for the robot with {motor}")
+    say(f"sizing parts, round {number} of at most {rounds}: a gait for the robot with {parts}")
