@@ -14,6 +14,7 @@ from mfg.catalogue import Catalogue
 from mfg.library import Library
 from mfg.parts import PAPER
 from mfg.pipeline import RULES, Outcome, Rules, run, score
+from mfg.selection import Drivers, Margins
 
 if TYPE_CHECKING:
     from evo.sizing import Sized
@@ -32,11 +33,13 @@ class Judge:
         rules: of the pipeline.
         catalogue: the parts; with a library its filaments, printer and joint encoder only.
         library: motors, batteries, controllers and wires to choose from; None for those of the catalogue.
+        drivers: which of its motors count, see `mfg.selection.Margins`: "only" for robots that `hardware` shall drive.
     """
 
     rules: Rules = "paper"
     catalogue: Catalogue = PAPER
     library: Library | None = None
+    drivers: Drivers = "prefer"
 
     def score(self, design: VoxelDesign, progress: Progress | None = None) -> Outcome:
         """Verdict and five scores without exact solids.
@@ -65,7 +68,8 @@ class Judge:
         from evo.sizing import sized  # the simulator is loaded where parts are sized, and only there.
 
         rng = np.random.default_rng(int(design.key, 16))
-        return sized(design, rng, library, base=self.catalogue, solve=self._solve, progress=progress)
+        margins = Margins(drivers=self.drivers)
+        return sized(design, rng, library, base=self.catalogue, solve=self._solve, margins=margins, progress=progress)
 
     def _solve(self, design: VoxelDesign, catalogue: Catalogue) -> Outcome:
         return score(design, catalogue, self.rules)

@@ -102,6 +102,8 @@ class Sized:
             return replace(self.outcome, failure=self.failure)
         catalogue = self.outcome.blueprint.catalogue
         note = f"parts chosen in {len(self.rounds)} round(s): {', '.join(_names(catalogue))}; {self.reason}"
+        if catalogue.motor.driver == "none":
+            note += f"; this program has no driver for {catalogue.motor.name}, so it cannot deploy a policy on it"
         return replace(self.outcome, blueprint=self.outcome.blueprint.noted(note))
 
 

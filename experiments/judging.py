@@ -27,13 +27,14 @@ def add_pipeline_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def judge_of(solver: Solvers, catalogue: Catalogues, parts: Path | str | None) -> Judge:
+def judge_of(solver: Solvers, catalogue: Catalogues, parts: Path | str | None, *, deployed: bool = False) -> Judge:
     """The judge that options or a configuration ask for.
 
     Args:
         solver: rules of the pipeline.
         catalogue: "paper", or "auto" for parts sized to each body.
         parts: folder of component files to choose from beside those that ship, or None.
+        deployed: whether the robot gets a policy bundle, so that only motors count that `hardware` can drive.
 
     Raises:
         BadInput: if there are parts to choose from and nothing is chosen.
@@ -48,7 +49,7 @@ def judge_of(solver: Solvers, catalogue: Catalogues, parts: Path | str | None) -
         return Judge(solver)
     from mfg.library import read_library
 
-    return Judge(solver, library=read_library(parts))
+    return Judge(solver, library=read_library(parts), drivers="only" if deployed else "prefer")
 
 
 def tell_round(number: int, rounds: int, parts: str) -> None:

@@ -117,7 +117,7 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
     rule, search = config.fitness.rule(), config.search
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(OPTIMISER,)))
     optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma, start=search.start)
-    judge = judge_of(config.solver, config.catalogue, config.parts)
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     learning = config.learning.rung()
     evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), judge, learning)
     total = search.generations * search.popsize - record.count()
@@ -148,7 +148,7 @@ def _conclude(config: Evolve, record: Record, folder: Path) -> dict[str, Any]:
     from experiments.config import config_hash
     from experiments.judging import judge_of
 
-    judge = judge_of(config.solver, config.catalogue, config.parts)
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     evaluations = record.evaluations()
     result: dict[str, Any] = {
         "kind": "evolve",
@@ -198,7 +198,7 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
     from sim.rollout import Diverged
 
     design = read_design(Path(config.design))
-    judge = judge_of(config.solver, config.catalogue, config.parts)
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     make_folder(folder)
     with locked(folder):
         check_folder(config, folder)

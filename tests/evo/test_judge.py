@@ -121,3 +121,16 @@ def test_physics_that_explodes_is_a_lost_measurement(monkeypatch: pytest.MonkeyP
     assert failure is not None
     assert (failure.stage, failure.reason) == (Stage.WORKER, Reason.CRASHED)
     assert "planted" in failure.detail
+
+
+def test_a_robot_that_shall_be_driven_gets_motors_that_can_be(quadruped: VoxelDesign, calls: list[Sized]):
+    """Of the two motors left one is stronger and lighter, and no driver speaks to it."""
+    fine = replace(PAPER.motor, name="fine", mass=0.3, driver="none", voltage_range=(18.0, 36.0))
+    huge = replace(PAPER.motor, name="huge", diameter=0.19, length=0.2, voltage_range=(18.0, 36.0))
+    both = LIBRARY.only([fine, huge])
+    prefer, only = Judge(library=both).score(quadruped), Judge(library=both, drivers="only").score(quadruped)
+    assert prefer.ok
+    assert prefer.blueprint.catalogue.motor == fine
+    assert "no driver for fine" in prefer.blueprint.notes[-1]
+    assert only.failure is not None
+    assert only.failure.detail.startswith("no motor of 1 fits; closest, huge: ")

@@ -210,7 +210,7 @@ def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
     with monkeypatch.context() as changed:
         if what == "components":
             heavier = replace(PAPER, motor=replace(PAPER.motor, mass=0.481))
-            changed.setattr("experiments.judging.judge_of", lambda *_: Judge(catalogue=heavier))
+            changed.setattr("experiments.judging.judge_of", lambda *_, **__: Judge(catalogue=heavier))
         elif what == "solvers":
             changed.setattr("mfg.pipeline.RULES", {"paper": BUILDING[:-1]})
         else:
