@@ -11,7 +11,6 @@ longer than --timeout is a worker's failure by those rules.
 from __future__ import annotations
 
 import argparse
-import functools
 import hashlib
 import json
 from collections.abc import Iterator
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from decoder.latent import Decoder
     from mfg.outcome import Failure
     from mfg.pipeline import Outcome
 
@@ -54,7 +52,9 @@ class Work:
 
     def __call__(self, task: Task) -> dict[str, Any]:
         """A line for the file, without what names the task."""
-        design = _decoder(self.decoder).decode(task.latent[None])[0]
+        from experiments.study import decoder_of
+
+        design = decoder_of(self.decoder).decode(task.latent[None])[0]
         verdicts = {"rules": self._rules, "repair": self._repair, "auto": self._auto}[task.part](design)
         return {"design": design.key, "verdicts": verdicts}
 
@@ -218,14 +218,6 @@ def _program(decoder: str) -> str:
 
     text = repr((decoder_digest(make_decoder(decoder)), dict(RULES), PAPER, _library()))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-@functools.cache
-def _decoder(name: str) -> Decoder:
-    """Each process makes a decoder once."""
-    from decoder.latent import make_decoder
-
-    return make_decoder(name)
 
 
 def _library() -> Any:

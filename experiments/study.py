@@ -35,13 +35,12 @@ from experiments.run_folder import (
     worker_count,
     write_json,
 )
+from experiments.study_result import rates, result_of, summary
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from analysis.lda import FailureLda
-    from analysis.passthrough import PassThrough
     from decoder.latent import Decoder
     from evo.evaluation import Candidate, Evaluation
     from evo.judge import Judge
@@ -85,7 +84,7 @@ class Score:
 
     def outcome(self, candidate: Candidate) -> Outcome:
         """All that the solvers say."""
-        return self.judge.score(_decoder(self.decoder).decode(candidate.latent[None])[0])
+        return self.judge.score(decoder_of(self.decoder).decode(candidate.latent[None])[0])
 
     def _repaired(self, candidate: Candidate, outcome: Outcome) -> Evaluation:
         from evo.evaluation import Evaluation
@@ -182,7 +181,7 @@ def run_study(config: Study, folder: Path, args: argparse.Namespace) -> int:
     if args.json:
         emit(result)
     else:
-        print(_summary(result, folder))
+        print(summary(result, TABLE, folder / REPORT))
     return DONE
 
 
@@ -222,7 +221,7 @@ def _analyse(config: Study, record: Record, folder: Path, workers: int) -> dict[
     table = with_repairs(run.records, folder / RECORD) if config.repair else run.records
     mended = pass_through(table["repaired"]) if config.repair else None
     write_csv(table, folder / TABLE)
-    (folder / RATES).write_text(_rates(counts), encoding="utf-8")
+    (folder / RATES).write_text(rates(counts, mended), encoding="utf-8")
     ok = run.records["outcome"] == PASSED
     figures = {
         "pass_through.png": plots.pass_through_bars(counts),
@@ -233,37 +232,10 @@ def _analyse(config: Study, record: Record, folder: Path, workers: int) -> dict[
         if png is not None:
             (folder / name).write_bytes(png)
     _draw_examples(config, record.evaluations(), folder / SHEET, workers)
-    result = _result(config, counts, mended, lda, round(record.seconds(), 1))
+    result = result_of(config, counts, mended, lda, round(record.seconds(), 1))
     write_json(folder / RESULT, result)
     write_report(folder, lda)
     return result
-
-
-def _result(
-    config: Study, counts: PassThrough, mended: PassThrough | None, lda: FailureLda, seconds: float
-) -> dict[str, Any]:
-    """The object in study.json."""
-    return {
-        "n": counts.n,
-        "seed": config.seed,
-        "decoder": config.decoder,
-        "prior": config.prior,
-        "solver": config.solver,
-        "catalogue": config.catalogue,
-        **_counted(counts),
-        "repaired": None if mended is None else _counted(mended),
-        "lda": lda.to_json(),
-        "seconds": seconds,
-    }
-
-
-def _counted(counts: PassThrough) -> dict[str, Any]:
-    return {
-        "counts": counts.counts,
-        "remaining": {row.stage: row.remaining for row in counts.rows()},
-        "pass_rate": counts.rate,
-        "pass_rate_95": list(counts.interval),
-    }
 
 
 def _draw_examples(config: Study, evaluations: list[Evaluation], path: Path, workers: int) -> None:
@@ -308,39 +280,6 @@ def _label(evaluation: Evaluation) -> str:
     return f"{name}  {evaluation.failure.stage}: {evaluation.failure.reason}"
 
 
-def _rates(counts: PassThrough) -> str:
-    lines = ["stage,reached,failed,remaining"]
-    for row in counts.rows():
-        lines.append(
-            f"{row.stage},{row.reached},{row.failed},{'' if row.remaining is None else f'{row.remaining:.6f}'}"
-        )
-    rate = "" if counts.rate is None else f"{counts.rate:.6f}"
-    return "\n".join([*lines, f"all,{counts.n},{counts.n - counts.passed},{rate}"]) + "\n"
-
-
-def _summary(result: dict[str, Any], folder: Path) -> str:
-    mended = result["repaired"]
-    lines = [_rate(result, result["n"], "can be built")]
-    if mended is not None:
-        lines.append(_rate(mended, result["n"], f"can be built once changed as little as helps, see {TABLE}"))
-    for stage, remaining in result["remaining"].items():
-        if stage != "worker" or result["counts"][stage]:
-            share = "none got here" if remaining is None else f"{100 * remaining:6.2f} % remain"
-            after = "" if mended is None else f"   {mended['counts'][stage]:5} after repair"
-            lines.append(f"  {stage:12} {result['counts'][stage]:5} failed   {share}{after}")
-    lda = result["lda"]
-    if lda["balanced_accuracy"] is not None:
-        lines.append(f"latents tell the class of {100 * lda['balanced_accuracy']:.0f} % of failures not seen before "
-                     f"(guessing {100 * lda['chance']:.0f} %, p = {lda['permutation_p']:.3g})")  # fmt: skip
-    return "\n".join([*lines, f"read {folder / REPORT}"])
-
-
-def _rate(counted: dict[str, Any], n: int, what: str) -> str:
-    low, high = counted["pass_rate_95"]
-    return (f"{counted['counts']['passed']} of {n} bodies {what}: {100 * counted['pass_rate']:.1f} % "
-            f"(95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
-
-
 def _score(config: Study) -> Score:
     return Score(config.decoder, judge_of(config.solver, config.catalogue, config.parts), config.repair)
 
@@ -354,7 +293,7 @@ def _latents(config: Study) -> NDArray[np.float32]:
 
 
 @functools.cache
-def _decoder(name: str) -> Decoder:
+def decoder_of(name: str) -> Decoder:
     """Each process makes a decoder once."""
     from decoder.latent import make_decoder
 

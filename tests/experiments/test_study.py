@@ -150,6 +150,11 @@ def test_repaired_bodies_are_counted_apart_and_told(
     assert {(row["outcome"], row["repaired"]) for row in changed} == {("motor", "passed")}
     assert {row["changes"] for row in changed} == {"segment 1 thicker (+3% bone); then scaled"}
     assert all(row["repaired"] == row["outcome"] for row in table if not row["changes"])
+    lines = (tmp_path / "s" / "pass_through.csv").read_text().splitlines()
+    assert lines[0] == "stage,reached,failed,remaining,failed_after_repair"
+    assert [line.split(",")[-1] for line in lines if line.startswith(("motor", "all"))] == [
+        str(mended["counts"]["motor"]), str(90 - mended["counts"]["passed"]),
+    ]  # fmt: skip
     told = quick("--repair", out=tmp_path / "told").out
     assert f"{mended['counts']['passed']} of 90 bodies can be built once changed as little as helps" in told
     assert f"{mended['counts']['motor']} after repair" in told
@@ -193,7 +198,7 @@ def test_a_body_is_mended_by_the_rules_of_the_study() -> None:
             return [thin]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "_decoder", lambda _: One())
+        patch.setattr(study, "decoder_of", lambda _: One())
         candidate = Candidate(0, 0, np.zeros(512, np.float32))
         found = study.Score("genome", Counting(), repair=True)(candidate)  # type: ignore[arg-type]
         plain = study.Score("genome", DEFAULT_JUDGE)(candidate)
