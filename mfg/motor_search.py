@@ -234,7 +234,7 @@ class SearchMotorSolver:
             Miss(
                 "gap between motors",
                 "m",
-                widest if math.isfinite(widest) else None,
+                widest if -math.inf < widest < self.gap else None,
                 self.gap,
                 (joint.index, other.index),
                 grow=need,
