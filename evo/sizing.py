@@ -17,6 +17,7 @@ from enum import StrEnum
 import numpy as np
 
 from decoder.design import VoxelDesign
+from evo.needs import needs_of
 from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue
 from mfg.description import describe
@@ -25,15 +26,12 @@ from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score
 from mfg.repair import progress as reached
-from mfg.selection import JointNeed, Margins, Needs, Selection, Unmet, controllers_for, select, suits, unmet
-from sim.actor import Gait
+from mfg.selection import Margins, Needs, Selection, Unmet, controllers_for, select, suits, unmet
 from sim.gaits import SCREENING, GaitBudget, search_gait
-from sim.model import Model, compile_model
-from sim.rollout import Diverged, roll_out
+from sim.model import compile_model
+from sim.rollout import Diverged
 
 ROUNDS = 6
-WORK = 10.0  # length of the rollout in which needs are measured [s]
-SHARE = 0.99  # quantile over time that counts as a peak: what is above it lasts a hundredth of the time, as impacts do
 
 PART_STAGES = {
     "motor": Stage.MOTOR, "battery": Stage.ELECTRONICS, "controller": Stage.ELECTRONICS, "wire": Stage.WIRE,
@@ -164,28 +162,6 @@ def sized(
     kept = _best(done)
     verdict = "none bore its own robot" if kept is None else f"kept {_kept(kept)}"
     return body.unsettled(kept, outcome, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
-
-
-def needs_of(model: Model, gait: Gait, duration: float, seconds: float = WORK) -> Needs:
-    """What a gait asks of every joint: peaks are the `SHARE` quantile over control steps, rms is over all steps.
-
-    The speed at the peak is the greatest one at which at least nine tenths of the peak torque drove the joint.
-    """
-    rollout = roll_out(model, [gait], seconds)
-    torque, speed = rollout.torque[0], rollout.speed[0]
-    peak = np.quantile(np.abs(torque), SHARE, axis=0)
-    top = np.quantile(np.abs(speed), SHARE, axis=0)
-    joints = []
-    for k in range(model.nu):
-        driving = (np.abs(torque[:, k]) >= 0.9 * peak[k]) & (torque[:, k] * speed[:, k] > 0)
-        at_peak = min(float(np.abs(speed[driving, k]).max(initial=0.0)), float(top[k]))
-        joints.append(JointNeed(
-            model.actuator(k).name, float(peak[k]), at_peak, float(rollout.rms_torque[0, k]), float(top[k]),
-            float(np.sqrt(np.square(speed[:, k]).mean())),
-        ))  # fmt: skip
-    sum_of_peaks = float(np.abs(torque).max(axis=0).sum())
-    together = float(np.abs(torque).sum(axis=1).max()) / sum_of_peaks if sum_of_peaks > 0 else 1.0
-    return Needs(tuple(joints), duration, together)
 
 
 def _measured(

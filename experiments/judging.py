@@ -22,8 +22,8 @@ def add_pipeline_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--parts", type=Path, metavar="DIR",
-        help="with --catalogue auto: choose from the TOML files in this folder too; a part of the same kind and name "
-        "takes the shipped one's place, and mfg/components has examples",
+        help="with --catalogue auto: choose from the motors, batteries, controllers and wires in this folder's TOML "
+        "files too, written like those in mfg/components; one of the same kind and name takes the shipped one's place",
     )  # fmt: skip
 
 

@@ -12,9 +12,10 @@ import pytest
 import evo.sizing as sizing
 from decoder.design import VoxelDesign
 from evo.sizing import sized
-from experiments import study
+from experiments import doctor, study
 from experiments.judging import judge_of
 from mfg.component_file import part_text
+from mfg.library import read_library
 from mfg.parts import PAPER
 from sim.gaits import GaitBudget
 
@@ -146,3 +147,15 @@ def test_a_study_with_sized_parts_is_the_same_with_any_number_of_workers(bodypla
         found.append((result, [{k: v for k, v in row.items() if k != "seconds"} for row in table]))
     assert found[0] == found[1]
     assert found[0][0]["catalogue"] == "auto"
+
+
+def test_doctor_lists_all_that_can_be_chosen(bodyplan, monkeypatch):
+    monkeypatch.setattr(doctor, "REQUIRED", (("numpy", "numpy"),))
+    library = read_library()
+    listed = json.loads(bodyplan("doctor", "--json").out)["parts"]
+    for kind, parts in (("motor", library.motors), ("battery", library.batteries), ("controller", library.controllers),
+                        ("wire", library.wires)):  # fmt: skip
+        assert [text.split(":")[0] for text in listed[kind]] == [part.name for part in parts]
+    shown = bodyplan("doctor").out
+    assert all(text in shown for texts in listed.values() for text in texts)
+    assert "--catalogue auto" in shown
