@@ -13,6 +13,8 @@ Unit = Literal["m", "m3", "rad", "1"]
 class Miss:
     """The closest miss of one requirement; joints and bodies are those of the blueprint that the failure left.
 
+    Before there are bodies they have their segments' places in its tree.
+
     Attributes:
         what: the quantity that falls short, e.g. "shared volume".
         unit: of what there is and what there must be; "1" for a ratio.

@@ -123,28 +123,25 @@ def _edits(outcome: Outcome, failure: Failure) -> Iterator[tuple[str, Callable[[
         yield f"the whole body scaled by {factor:g}", lambda f=factor: scaled(design, f)  # type: ignore[misc]
     if failure.stage is Stage.SKELETON:
         yield from _skeleton_edits(design)
-    if not blueprint.bodies or failure.reason is Reason.TOO_LARGE:
+    if blueprint.tree is None or failure.miss is None or failure.reason is Reason.TOO_LARGE:
         return
+    segments, miss = blueprint.tree.segments, failure.miss
+    called = [f"segment {segment} (body_{index})" for index, segment in enumerate(segments)]
     radius = REACH * mount_of(blueprint.catalogue.motor).envelope_radius
-    joints, bodies = (failure.miss.joints, failure.miss.bodies) if failure.miss is not None else ((), ())
-    for hinge in (blueprint.hinges[joint] for joint in joints):
-        for index, voxels in itertools.product((hinge.parent, hinge.body), THICKER):
-            segment = blueprint.bodies[index].segment
-            what = (
-                f"segment {segment} ({blueprint.bodies[index].name}) thicker by {voxels:g} voxel(s) near {hinge.name}"
-            )
-            yield what, lambda s=segment, v=voxels, c=hinge.position: grown(design, s, v, c, radius)  # type: ignore[misc]
-        a, b = (blueprint.bodies[index].segment for index in (hinge.parent, hinge.body))
+    for hinge in (blueprint.hinges[joint] for joint in miss.joints):
+        ends, centre = (hinge.parent, hinge.body), hinge.position
+        for body, voxels in itertools.product(ends, THICKER):
+            what = f"{called[body]} thicker by {voxels:g} voxel(s) near {hinge.name}"
+            yield what, lambda s=segments[body], v=voxels, c=centre: grown(design, s, v, c, radius)  # type: ignore[misc]
+        a, b = (segments[body] for body in ends)
         for voxels in THICKER:
             yield (
                 f"segments {a} and {b} thicker by {voxels:g} voxel(s) near {hinge.name}",
-                lambda v=voxels, c=hinge.position, a=a, b=b: grown(grown(design, a, v, c, radius), b, v, c, radius),  # type: ignore[misc]
+                lambda v=voxels, c=centre, a=a, b=b: grown(grown(design, a, v, c, radius), b, v, c, radius),  # type: ignore[misc]
             )
-    if failure.stage is Stage.ELECTRONICS and not bodies:
-        bodies = tuple(range(len(blueprint.bodies)))
-    for body, voxels in itertools.product((blueprint.bodies[index] for index in bodies), THICKER):
-        what = f"segment {body.segment} ({body.name}) thicker by {voxels:g} voxel(s) all over"
-        yield what, lambda s=body.segment, v=voxels: grown(design, s, v)  # type: ignore[misc]
+    for body, voxels in itertools.product(miss.bodies, THICKER):
+        what = f"{called[body]} thicker by {voxels:g} voxel(s) all over"
+        yield what, lambda s=segments[body], v=voxels: grown(design, s, v)  # type: ignore[misc]
 
 
 def _skeleton_edits(design: VoxelDesign) -> Iterator[tuple[str, Callable[[], VoxelDesign]]]:

@@ -39,16 +39,17 @@ def test_shortfall_is_how_far_apart_have_and_need_are() -> None:
 
 @pytest.fixture(scope="module")
 def refused() -> list[Outcome]:
-    """Small bodies that some rules refuse once there are bones."""
+    """Small bodies that some rules refuse, their tree being sound."""
     latents = sample_latents(8, np.random.default_rng(5))
     shrunk = [scaled(design, factor) for design in make_decoder("genome").decode(latents) for factor in (0.8, 0.65)]
     outcomes = [score(design, rules=rules) for design in shrunk for rules in ("paper", "search")]  # type: ignore[arg-type]
-    found = [outcome for outcome in outcomes if not outcome.ok and outcome.blueprint.bodies]
-    assert {outcome.failure.stage for outcome in found if outcome.failure} >= {Stage.MOTOR, Stage.ELECTRONICS}
+    found = [outcome for outcome in outcomes if not outcome.ok and outcome.blueprint.tree is not None]
+    stages = {outcome.failure.stage for outcome in found if outcome.failure}
+    assert stages >= {Stage.SKELETON, Stage.MOTOR, Stage.ELECTRONICS}
     return found
 
 
-def test_every_failure_past_the_skeleton_says_where_and_how_much(refused: list[Outcome]) -> None:
+def test_every_failure_of_a_sound_tree_says_where_and_how_much(refused: list[Outcome]) -> None:
     for outcome in refused:
         failure, blueprint = outcome.failure, outcome.blueprint
         assert failure is not None
@@ -56,7 +57,8 @@ def test_every_failure_past_the_skeleton_says_where_and_how_much(refused: list[O
         assert miss is not None, failure
         assert miss.joints or miss.bodies
         assert all(0 <= joint < len(blueprint.hinges) for joint in miss.joints)
-        assert all(0 <= body < len(blueprint.bodies) for body in miss.bodies)
+        assert blueprint.tree is not None
+        assert all(0 <= body < len(blueprint.tree.segments) for body in miss.bodies)
         assert miss.unit in get_args(Unit)
         assert miss.remedy in get_args(Remedy)
         assert miss.grow >= 0.0
