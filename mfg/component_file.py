@@ -168,7 +168,9 @@ class _Reader:
         if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
             raise self._error(label, value, f"it must be a {'whole ' if whole else ''}number")
         if not low <= value <= high:  # NaN too
-            raise self._error(label, value, f"it must lie in [{low:g}, {high:g}]")
+            milli = not whole and 1000 * low <= value <= 1000 * high
+            meant = f" in SI units (did you mean {value / 1000:g}?)" if milli else ""
+            raise self._error(label, value, f"it must lie in [{low:g}, {high:g}]{meant}")
         return value if whole else float(value)
 
     def _sources(self, table: Any, numbers: list[str]) -> str:
