@@ -91,3 +91,34 @@ def test_a_body_too_large_for_the_printer_shrinks(hinge: VoxelDesign) -> None:
     assert outcome.failure.reason is Reason.TOO_LARGE
     found = repaired(outcome, score)
     assert all("scaled by 0." in change.what for change in found.changes)
+
+
+def test_the_given_body_is_not_judged_again(thin: VoxelDesign) -> None:
+    judged: list[str] = []
+
+    def judge(design: VoxelDesign) -> Outcome:
+        judged.append(design.key)
+        return score(design)
+
+    found = repaired(score(thin), judge)
+    assert thin.key not in judged
+    assert found.tried == len(judged) + 1
+
+
+def test_only_what_the_miss_blames_grows_and_its_words_do_not_matter(thin: VoxelDesign) -> None:
+    outcome = score(thin)
+    assert outcome.failure is not None
+    assert outcome.failure.miss is not None
+    assert outcome.failure.miss.joints == (0,)
+    renamed = replace(outcome.failure, detail="something else")
+    told = [change.what for change in candidates(outcome, outcome.failure)]
+    assert told == [change.what for change in candidates(outcome, renamed)]
+    assert any("near joint_1" in what for what in told)
+    blind = [change.what for change in candidates(outcome, replace(outcome.failure, miss=None))]
+    assert blind
+    assert all("scaled" in what for what in blind)
+    body = replace(outcome.failure.miss, joints=(), bodies=(1,))
+    grown = [change.what for change in candidates(outcome, replace(outcome.failure, miss=body))]
+    assert {what for what in grown if "scaled" not in what} == {
+        f"segment 2 (body_1) thicker by {k} voxel(s) all over" for k in (1, 2, 3)
+    }
