@@ -99,7 +99,9 @@ class Sized:
         if self.failure is not None:
             return replace(self.outcome, failure=self.failure)
         catalogue = self.outcome.blueprint.catalogue
-        note = f"parts chosen in {len(self.rounds)} round(s): {', '.join(_names(catalogue))}; {self.reason}"
+        note = f"parts chosen in {len(self.rounds)} round(s): {', '.join(_names(catalogue))}"
+        if self.end is not End.FIXED:
+            note += f"; they bear their own robot, but the choice did not repeat ({self.end})"
         if catalogue.motor.driver == "none":
             note += f"; this program has no driver for {catalogue.motor.name}, so it cannot deploy a policy on it"
         return replace(self.outcome, blueprint=self.outcome.blueprint.noted(note))

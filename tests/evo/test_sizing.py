@@ -131,7 +131,8 @@ def test_a_body_passes_if_some_choice_bears_the_robot_that_it_makes(monkeypatch,
     kept = sized(quadruped, np.random.default_rng(1), LIBRARY.only([light, heavy]))
     assert (kept.end, kept.failure, kept.verdict.ok) == (End.CYCLE, None, True)
     assert kept.verdict.blueprint.catalogue.motor == heavy
-    assert "goes round" in kept.verdict.blueprint.notes[-1]
+    assert "the choice did not repeat (cycle)" in kept.verdict.blueprint.notes[-1]
+    assert "did not repeat" not in robot.verdict.blueprint.notes[-1]
     ladder = [replace(PAPER.motor, name=f"step {k}", mass=0.3 + k / 100, peak_torque=1.0 + k, continuous_torque=0.5,
                       voltage_range=(18.0, 36.0)) for k in range(9)]  # fmt: skip
     scripted(monkeypatch, {m.name: (m.peak_torque + 0.5) / 1.25 for m in ladder})
