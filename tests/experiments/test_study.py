@@ -155,6 +155,9 @@ def test_repaired_bodies_are_counted_apart_and_told(
     assert [line.split(",")[-1] for line in lines if line.startswith(("motor", "all"))] == [
         str(mended["counts"]["motor"]), str(90 - mended["counts"]["passed"]),
     ]  # fmt: skip
+    report = (tmp_path / "s" / "report.html").read_text("utf-8")
+    assert f"Changed as little as helps, {mended['counts']['passed']} of them can be built" in report
+    assert "Changed as little" not in (tmp_path / "plain" / "report.html").read_text("utf-8")
     told = quick("--repair", out=tmp_path / "told").out
     assert f"{mended['counts']['passed']} of 90 bodies can be built once changed as little as helps" in told
     assert f"{mended['counts']['motor']} after repair" in told
