@@ -87,12 +87,12 @@ def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
             raise BadInput(f"{path} is not the robot.xml of a blueprint folder; give that folder, or a design")
         path = path.parent
     if not path.is_dir():
-        from experiments.build import catalogue_of, read_design
+        from experiments.build import read_design
         from mfg.description import describe
         from mfg.export import write_blueprint
         from mfg.pipeline import build
 
-        outcome = build(read_design(path), catalogue_of("paper"))
+        outcome = build(read_design(path))
         if not outcome.ok:
             raise Impossible(f"{path} cannot be built: {outcome.failure}")
         write_blueprint(outcome, folder / BLUEPRINT)

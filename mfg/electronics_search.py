@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from mfg.blueprint import Blueprint, BoxSeat
 from mfg.box_fit import Places, box_points, places
 from mfg.box_layout import Layout, Look, joined, layouts_of, refined
-from mfg.box_miss import Miss, miss_of
+from mfg.box_miss import miss_of
 from mfg.box_paths import WAYS, Surroundings, apart, ways_out
 from mfg.catalogue import Size
 from mfg.electronics import CORNERS, KINDS, Host, Kind, scored, side_by_side
 from mfg.insertion import interference_above, outer_surface, shaft_height
+from mfg.miss import Miss
 from mfg.mounts import mount_of
 from mfg.orientations import along, orientations
 from mfg.outcome import Failure, Reason, Stage
@@ -80,7 +81,7 @@ class SearchElectronicsSolver:
             return scored(blueprint, *found)
         miss = search.miss()
         detail = f"no bones take the boxes with walls of {1e3 * self.wall:.0f} mm; closest: {miss.detail}"
-        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail)
+        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail, miss)
 
     def closest_miss(self, blueprint: Blueprint) -> Miss | None:
         """How far the nearest placement is from being one, or None where there is one."""

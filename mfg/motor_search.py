@@ -179,7 +179,7 @@ class SearchMotorSolver:
         }
         half = min(lacking, key=lambda h: lacking[h])
         body = seat.holder if half == "holder" else seat.connector
-        short = self.min_overlap - min(seat.holder_volume, seat.connector_volume)
+        shared = min(seat.holder_volume, seat.connector_volume)
         away = joint.distance(seat, half)
         name, segment = blueprint.bodies[body].name, blueprint.bodies[body].segment
         voxels = max(1, math.ceil(away / blueprint.design.pitch))
@@ -192,7 +192,7 @@ class SearchMotorSolver:
             f"needs {1e6 * self.min_overlap:.1f} cm3; {name} lacks material"
             f"{f' by {1e3 * away:.0f} mm' if away > 0 else ''}: grow segment {segment} by {_voxels(voxels)} near the "
             "joint",
-            Miss(Stage.MOTOR, joint.index, body, segment, short_volume=short, short_length=away,
+            Miss("shared volume", "m3", shared, self.min_overlap, (joint.index,), (body,), grow=max(away, 0.0),
                  remedy="grow_near_joint"),
         )  # fmt: skip
 
@@ -207,7 +207,14 @@ class SearchMotorSolver:
                 Reason.BONE_SEVERED,
                 f"{joint.hinge.name}: wherever its mount is strong enough, the way to the motor cuts more than "
                 f"{100 * self.max_loss:.0f} % off a body; grow both segments by 1 voxel near the joint",
-                Miss(Stage.MOTOR, joint.index, remedy="grow_near_joint"),
+                Miss(
+                    "share of a bone that is kept",
+                    "1",
+                    None,
+                    1 - self.max_loss,
+                    (joint.index,),
+                    remedy="grow_near_joint",
+                ),
             )
         other = joints[stuck.other]
         mount = mount_of(blueprint.catalogue.motor)
@@ -224,7 +231,15 @@ class SearchMotorSolver:
             Reason.MOTOR_COLLISION,
             f"{joint.hinge.name} and {other.hinge.name}: wherever their mounts are strong enough, their motors {how}; "
             f"move the two joints apart by {apart:.0f} mm",
-            Miss(Stage.MOTOR, joint.index, short_length=need, remedy="move_joints_apart", other=other.index),
+            Miss(
+                "gap between motors",
+                "m",
+                widest if -math.inf < widest < self.gap else None,
+                self.gap,
+                (joint.index, other.index),
+                grow=need,
+                remedy="move_joints_apart",
+            ),
         )
 
     def _not_weak(self, joint: Candidates) -> Array:
@@ -250,8 +265,8 @@ class SearchMotorSolver:
             f"{safety:.2f} under {torque:.1f} N.m and {BENDING_SHARE * torque:.1f} N.m across, needs "
             f"{self.min_safety:.2f}; {name} is the weak side: thicken segment {segment} by {_voxels(voxels)} near the "
             "joint",
-            Miss(Stage.MOTOR, joint.index, body, segment, short_factor=1 - safety / self.min_safety,
-                 short_length=voxels * blueprint.design.pitch, remedy="thicken_near_joint"),
+            Miss("safety factor", "1", safety, self.min_safety, (joint.index,), (body,),
+                 grow=voxels * blueprint.design.pitch, remedy="thicken_near_joint"),
         )  # fmt: skip
 
 
