@@ -10,6 +10,8 @@ from scipy import ndimage
 
 OUTSIDE = np.float32(-1.0)  # depth far outside [m]
 Window = tuple[slice, slice, slice]
+MANY = 600  # points from which on array arithmetic is faster than ndimage's loop over points
+BLOCK = 8192  # points at a time, so that what is worked out in between stays in the cache
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,8 +60,18 @@ class Field:
 
     def sample(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth at points (..., 3) of the design frame [m], trilinear; `OUTSIDE` beyond the lattice."""
-        index = np.moveaxis((points - self.origin) / self.spacing, -1, 0)
-        return ndimage.map_coordinates(self.values, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
+        if points.size < 3 * MANY or min(self.values.shape) < 2:
+            index = np.moveaxis((points - self.origin) / self.spacing, -1, 0)
+            return ndimage.map_coordinates(
+                self.values, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE)
+            )
+        flat = points.reshape(-1, 3)
+        return np.concatenate(
+            [
+                _trilinear(self.values, (flat[k : k + BLOCK] - self.origin) / self.spacing)
+                for k in range(0, len(flat), BLOCK)
+            ]
+        ).reshape(points.shape[:-1])
 
     def volume(self) -> float:
         """Volume of phi > 0 with fractional cells at the surface [m3]."""
@@ -97,6 +109,38 @@ class Field:
             windows.append((slice(low - shift, high - shift), slice(low, high)))
         (x, u), (y, v), (z, w) = windows
         return (x, y, z), (u, v, w)
+
+
+def _trilinear(values: NDArray[np.float32], index: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Values between samples at index (n, 3), `OUTSIDE` beyond; half as long as `map_coordinates` takes, to 1e-7."""
+    flat, row, layer = values.ravel(), values.shape[2], values.shape[1] * values.shape[2]
+    x, y, z = np.ascontiguousarray(index.T)
+    i, j, k = x.astype(np.int32), y.astype(np.int32), z.astype(np.int32)
+    u, v, w = (x - i).astype(np.float32), (y - j).astype(np.float32), (z - k).astype(np.float32)
+    first = i.astype(np.intp) * layer + (j * row + k)
+
+    def along(step: int) -> NDArray[np.float32]:
+        # A neighbour beyond the last sample counts for nothing: it is outside, or its weight is 0.
+        low, high = flat[step:].take(first, mode="clip"), flat[step + 1 :].take(first, mode="clip")
+        high -= low
+        high *= w
+        low += high
+        return low
+
+    def across(step: int) -> NDArray[np.float32]:
+        low, high = along(step), along(step + row)
+        high -= low
+        high *= v
+        low += high
+        return low
+
+    found, high = across(0), across(layer)
+    high -= found
+    high *= u
+    found += high
+    a, b, c = (n - 1 for n in values.shape)
+    found[(x < 0) | (x > a) | (y < 0) | (y > b) | (z < 0) | (z > c)] = OUTSIDE
+    return found
 
 
 def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:
