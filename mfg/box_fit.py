@@ -133,7 +133,7 @@ def separation(half_a: Array, centre_a: Array, turn_a: Array, half_b: Array, cen
     between = np.moveaxis(centre_b - centre_a, -1, 0)
     a, b = np.moveaxis(turn_a, (-2, -1), (0, 1)), np.moveaxis(turn_b, (-2, -1), (0, 1))
     half_a, half_b = np.moveaxis(half_a, -1, 0), np.moveaxis(half_b, -1, 0)
-    found: Array | None = None
+    found: Array = np.array(-np.inf)
     beyond_b: list[Array] = [-half_b[j] for j in range(3)]
     for i in range(3):
         beyond = -half_a[i]
@@ -142,7 +142,7 @@ def separation(half_a: Array, centre_a: Array, turn_a: Array, half_b: Array, cen
             beyond = beyond - alike * half_b[j]
             beyond_b[j] = beyond_b[j] - alike * half_a[i]
         along = np.abs(between[0] * a[0, i] + between[1] * a[1, i] + between[2] * a[2, i]) + beyond
-        found = along if found is None else np.maximum(found, along)
+        found = np.maximum(found, along)
     for j in range(3):
         along = np.abs(between[0] * b[0, j] + between[1] * b[1, j] + between[2] * b[2, j]) + beyond_b[j]
         found = np.maximum(found, along)

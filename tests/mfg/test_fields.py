@@ -50,6 +50,23 @@ def test_sampling_is_trilinear_however_many_points_are_asked_for(count: int) -> 
     np.testing.assert_array_equal(field.sample(points.reshape(1, count, 1, 3))[0, :, 0], field.sample(points))
 
 
+@pytest.mark.parametrize("count", [0, 5, BLOCK + 3])
+def test_the_slope_is_that_of_the_sampled_depth(count: int) -> None:
+    rng = np.random.default_rng(count)
+    field = Field(rng.normal(size=(6, 5, 7)).astype(np.float32), (2, -3, 4), 0.005)
+    cell, share = rng.integers(0, (5, 4, 6), (count, 3)), rng.uniform(0.1, 0.9, (count, 3))
+    points = (cell + share + field.corner) * field.spacing
+    depth, slope = field.sloped(points)
+    np.testing.assert_allclose(depth, field.sample(points), atol=1e-6)
+    step = 0.05 * field.spacing  # within the cell, where the depth is linear along every axis
+    for axis, way in enumerate(np.eye(3) * step):
+        rise = field.sample(points + way) - field.sample(points - way)
+        np.testing.assert_allclose(slope[:, axis], rise / (2 * step), atol=0.02)
+    beyond = field.sloped(points[:1] + 1.0)
+    assert (beyond[0] == OUTSIDE).all()
+    assert (beyond[1] == 0).all()
+
+
 def test_points_far_beyond_a_lattice_are_outside() -> None:
     far = np.array([[1.0, -1.0, 0.0], [1e6, 1e6, 1e6], [-1e6, 3.0, 2.0]]).repeat(MANY, axis=0)
     assert (ball(0.03).sample(far) == OUTSIDE).all()
