@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mfg.addresses import MAX_BUS, can_address, turn_sign
-from mfg.blueprint import Blueprint, PrintedPart
+from mfg.blueprint import Blueprint, PrintedPart, WireRun
 from mfg.catalogue import Motor, ScrewPattern
 from mfg.description import PAPER_SKIN, DescribedJoint, Description, Link, SkinMaterial
 from mfg.masses import printed_moments
@@ -64,11 +64,7 @@ def manifest(
              "T_design_box": box.T_design_box.tolist(), "clearance": box.clearance, "shaft": box.shaft}
             for box in blueprint.boxes
         ],
-        "wires": [
-            {"name": wire.name, "joint": blueprint.hinges[blueprint.seats[wire.seat].hinge].name,
-             "length": wire.length, "radius": wire.radius, "path": np.round(wire.path, 6).tolist()}
-            for wire in blueprint.wires
-        ],
+        "wires": [_wire(blueprint, wire) for wire in blueprint.wires],
         "parts": [_part(blueprint, part) for part in blueprint.parts],
         "robot": robot_json(description),
         "files": {path: hashlib.sha256(files[path]).hexdigest() for path in sorted(files)},
@@ -220,6 +216,20 @@ def _joint(blueprint: Blueprint, index: int) -> dict[str, Any]:
         "holder": names[seat.holder], "connector": names[seat.connector], "offset": seat.offset,
         "T_design_motor": seat.T_design_motor.tolist(), "holder_volume": seat.holder_volume,
         "connector_volume": seat.connector_volume,
+    }  # fmt: skip
+
+
+def _wire(blueprint: Blueprint, wire: WireRun) -> dict[str, Any]:
+    """A cable: its tunnel, how much more cable it is cut to, and where that is left over."""
+    return {
+        "name": wire.name, "joint": blueprint.hinges[blueprint.seats[wire.seat].hinge].name,
+        "length": wire.length, "slack": wire.slack, "cable_length": wire.cable_length, "radius": wire.radius,
+        "path": np.round(wire.path, 6).tolist(),
+        "crossings": [
+            {"joint": blueprint.hinges[c.hinge].name, "position": np.round(c.position, 6).tolist(), "span": c.span,
+             "needed": list(c.needed), "slack": c.slack}
+            for c in wire.crossings
+        ],
     }  # fmt: skip
 
 

@@ -41,8 +41,10 @@ class PrintabilitySolver:
             failure = self._in_one_piece(blueprint, index, body, field)
             if failure is not None:
                 return failure
+            if self.split:
+                continue
             outline = np.concatenate([outline_points(f) for f in (field, body.skin) if f is not None])
-            if not self.split and not fits_printer(outline, printer.volume):
+            if not fits_printer(outline, printer.volume):
                 return Failure(
                     Stage.PRINT,
                     Reason.TOO_LARGE,

@@ -128,11 +128,12 @@ class SearchWireSolver:
         no_start: set[int] = set()
         no_end: set[int] = set()
         tree = None
+        near = graph.taken(k, taken, 2 * radius + gap + SHORT)
         closest: Failure | None = None
         for _ in range(self.tries):
             if tree is None:
-                tree = graph.tree(k, taken, 2 * radius + gap + SHORT, no_end)
-            way = None if tree is None else graph.way(k, tree, taken, 2 * radius + gap + SHORT, no_start)
+                tree = graph.tree(k, near, no_end)
+            way = None if tree is None else graph.way(k, tree, near, no_start)
             if way is None:
                 break
             path = self._relaxed(blueprint, graph, way, earlier)
