@@ -10,7 +10,6 @@ raise, hang or leave a mesh that is not closed without a word. What is done alre
 from __future__ import annotations
 
 import argparse
-import functools
 import itertools
 import json
 import tempfile
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from decoder.design import VoxelDesign
-    from decoder.latent import Decoder
     from mfg.pipeline import Outcome, Rules
 
 PATIENCE = 30.0  # for one design [s]
@@ -90,15 +88,11 @@ def _flaws(outcome: Outcome) -> list[str]:
         return found
 
 
-@functools.cache
-def _decoder() -> Decoder:
-    from decoder.latent import DEFAULT_DECODER, make_decoder
-
-    return make_decoder(DEFAULT_DECODER)
-
-
 def _body(rng: np.random.Generator, spread: float = 1.0) -> VoxelDesign:
-    return _decoder().decode(spread * rng.standard_normal((1, 512)))[0]
+    from decoder.latent import DEFAULT_DECODER
+    from experiments.study import decoder_of
+
+    return decoder_of(DEFAULT_DECODER).decode(spread * rng.standard_normal((1, 512)))[0]
 
 
 def _garbage() -> dict[str, Garbage]:
@@ -106,7 +100,9 @@ def _garbage() -> dict[str, Garbage]:
     import numpy as np
 
     from decoder.design import GRID, Joint, Material, VoxelDesign
+    from decoder.latent import DEFAULT_DECODER
     from decoder.sketch import load_design
+    from experiments.study import decoder_of
 
     def far_out(rng: np.random.Generator) -> VoxelDesign:
         return _body(rng, float(10.0 ** rng.uniform(0.3, 3.0)))
@@ -114,7 +110,7 @@ def _garbage() -> dict[str, Garbage]:
     def spiky(rng: np.random.Generator) -> VoxelDesign:
         latent = np.zeros((1, 512))
         latent[0, rng.integers(512, size=4)] = rng.uniform(-50, 50, 4)
-        return _decoder().decode(latent)[0]
+        return decoder_of(DEFAULT_DECODER).decode(latent)[0]
 
     def flipped_voxels(rng: np.random.Generator) -> VoxelDesign:
         body = _body(rng)

@@ -79,7 +79,7 @@ class SearchMotorSolver:
         joints = []
         for index in range(len(blueprint.hinges)):
             joint = Candidates.of(
-                blueprint, index, scan, self.step, self.spread, self.candidates, self._plastic(catalogue, most)
+                blueprint, index, scan, self.step, self.spread, self.candidates, self.plastic(catalogue, most)
             )
             if not joint.seats:
                 return self._too_far(blueprint, joint)
@@ -91,7 +91,7 @@ class SearchMotorSolver:
         if isinstance(answer, Stuck):
             return self._stuck(blueprint, joints, answer)
         for walls in range(catalogue.rigid.walls, most):
-            thinner = [joint.of_plastic(self._plastic(catalogue, walls)) for joint in joints]
+            thinner = [joint.of_plastic(self.plastic(catalogue, walls)) for joint in joints]
             if all(j.safety(k, self.min_safety) >= self.min_safety for j, k in zip(thinner, answer, strict=True)):
                 joints, most = thinner, walls
                 break
@@ -109,7 +109,8 @@ class SearchMotorSolver:
                 whole[index] = cut or whole[index]  # Two cuts that pass alone may sever together: finish will tell.
         return with_seats(replace(blueprint, bodies=tuple(whole)), seats, self.alpha)
 
-    def _plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
+    def plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
+        """What bones with so many walls are made of, as this solver reckons with it."""
         return Plastic.of(replace(catalogue.rigid, walls=walls), catalogue.printer, self.strength)
 
     def _choice(self, blueprint: Blueprint, joints: list[Candidates], *, every: bool) -> list[int] | Stuck:
