@@ -131,7 +131,8 @@ def run(solvers: tuple[Solver, ...], blueprint: Blueprint) -> Outcome:
     for solver in solvers:
         start = time.perf_counter()
         answer = solver.solve(blueprint)
-        seconds[type(solver).__name__.removesuffix("Solver").removeprefix("Search").lower()] = time.perf_counter() - start
+        name = type(solver).__name__.removesuffix("Solver").removeprefix("Search").lower()
+        seconds[name] = time.perf_counter() - start
         if isinstance(answer, Failure):
             return Outcome(blueprint, answer, seconds)
         blueprint = answer
