@@ -106,3 +106,67 @@ def wilson(successes: float, n: int) -> tuple[float, float]:
     half = _Z / (1 + z2 / n) * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
     # Rounding must not push a bound past the proportion that it bounds.
     return max(0.0, min(middle - half, p)), min(1.0, max(middle + half, p))
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """Two rules on the same designs.
+
+    Attributes:
+        both: designs that pass by both.
+        first: that pass by the first only.
+        second: that pass by the second only.
+        neither: that pass by none.
+    """
+
+    both: int
+    first: int
+    second: int
+    neither: int
+
+    @property
+    def n(self) -> int:
+        """How many designs there are."""
+        return self.both + self.first + self.second + self.neither
+
+    @property
+    def difference(self) -> float | None:
+        """Pass rate by the second rule less that by the first; None without designs."""
+        return (self.second - self.first) / self.n if self.n else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the difference: Newcombe's hybrid score interval for paired data, method 10 (1998)."""
+        if self.n == 0:
+            return -1.0, 1.0
+        n, a, b, c, d = self.n, self.both, self.second, self.first, self.neither
+        p, q = (a + b) / n, (a + c) / n
+        (p_low, p_high), (q_low, q_high) = wilson(a + b, n), wilson(a + c, n)
+        margins = (a + b) * (c + d) * (a + c) * (b + d)
+        covariance = float(a * d - b * c)
+        if covariance > 0:  # Newcombe's continuity correction; it never turns the sign.
+            covariance = max(covariance - n / 2, 0.0)
+        phi = covariance / math.sqrt(margins) if margins else 0.0
+        down, up = _hypotenuse(p - p_low, q_high - q, phi), _hypotenuse(p_high - p, q - q_low, phi)
+        return max(-1.0, p - q - down), min(1.0, p - q + up)
+
+    @property
+    def p_value(self) -> float:
+        """McNemar's exact test of no difference, two-sided: the designs that pass by one rule only, as coin tosses."""
+        tosses, fewer = self.first + self.second, min(self.first, self.second)
+        return min(1.0, 2 * sum(math.comb(tosses, k) for k in range(fewer + 1)) / 2**tosses)
+
+
+def paired(first: Iterable[str], second: Iterable[str]) -> Paired:
+    """Compare two rules by their outcomes of the same designs, in the same order.
+
+    Raises:
+        ValueError: if they are not equally many.
+    """
+    counts = Counter((a == PASSED, b == PASSED) for a, b in zip(first, second, strict=True))
+    return Paired(counts[True, True], counts[True, False], counts[False, True], counts[False, False])
+
+
+def _hypotenuse(a: float, b: float, phi: float) -> float:
+    """Of two sides with correlation phi between them."""
+    return math.sqrt(max(a * a - 2 * phi * a * b + b * b, 0.0))

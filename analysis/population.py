@@ -7,10 +7,10 @@ from html import escape
 import numpy as np
 
 from analysis import page, plots
-from analysis.folder import RunFolder
+from analysis.folder import RUN_FILES, RunFolder
 from analysis.lda import FailureLda, failure_lda
 from analysis.passthrough import PAPER_REMAINING, PASSED, PassThrough, pass_through
-from analysis.records import by_reason, latents
+from analysis.records import by_reason, latents, with_repairs
 from analysis.words import REASONS, STAGES
 from mfg.outcome import Stage
 
@@ -34,6 +34,13 @@ def passing(run: RunFolder) -> str:
         f"{counts.passed} of {counts.n} designs can be built: {_percent(counts.rate)} "
         f"(95 % interval {_percent(low)} to {_percent(high)}). Each stage is counted over the designs that reached it."
     )
+    if run.kind == "study" and run.config.get("repair") is True:
+        mended = pass_through(with_repairs(run.records, run.path / RUN_FILES["study"])["repaired"])
+        low, high = mended.interval
+        text += (
+            f" Changed as little as helps, {mended.passed} of them can be built: {_percent(mended.rate)} (95 % "
+            f"interval {_percent(low)} to {_percent(high)}); records.csv says what was changed."
+        )
     if run.kind == "evolve":
         text += " Evolution favours what can be built, so this is no estimate for random bodies; a study gives that."
     caption = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
@@ -62,6 +63,26 @@ def read_meta(path: Path) -> dict[str, str]:
             raise RecordsError(f"{path}: not a run file ({error})") from None
 
 
+def with_repairs(records: pd.DataFrame, path: Path) -> pd.DataFrame:
+    """The evaluations of a study with what came of repairs, from the same run file.
+
+    Returns:
+        Two more columns: `repaired`, the outcome where changes to the body counted, and `changes`, those changes in
+        words; a body that was not changed keeps its outcome and has none.
+
+    Raises:
+        RecordsError: if it is not a run file, holds no repairs or cannot be read.
+    """
+    with _reading(path) as connection:
+        try:
+            rows = connection.execute("SELECT id, stage, changes FROM repairs").fetchall()
+        except sqlite3.DatabaseError as error:
+            raise RecordsError(f"{path}: holds no repairs ({error})") from None
+    found = {index: (stage or PASSED, "; ".join(json.loads(changes))) for index, stage, changes in rows}
+    pairs = [found.get(index, (outcome, "")) for index, outcome in zip(records["id"], records["outcome"], strict=True)]
+    return records.assign(repaired=[pair[0] for pair in pairs], changes=[pair[1] for pair in pairs])
+
+
 def frame(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Make the data frame of evaluations given as mappings of column names to values."""
     rows = list(rows)
@@ -102,7 +123,7 @@ def write_csv(records: pd.DataFrame, path: Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    columns = [name for name in COLUMNS if name != "latent" and not records[name].isna().all()]
+    columns = [name for name in records.columns if name != "latent" and not records[name].isna().all()]
     records[columns].to_csv(path, index=False, float_format="%.6g", lineterminator="\n")
 
 

@@ -21,6 +21,8 @@ REASONS: dict[str, str] = {
     Reason.NO_MOTION: "A hinge cannot turn far enough before the bodies beside it touch.",
     Reason.NO_OVERLAP: "A body is too far from its hinge, or too slight there, to hold the motor or its output.",
     Reason.WEAK_MOUNT: "A body is too slight around its hinge to stand the motor's peak torque.",
+    Reason.NO_PART: "No part of those to choose from meets what the robot's own gait asks of it.",
+    Reason.UNSETTLED: "The choice of parts never repeats: each makes a robot that asks for others.",
     Reason.MOTOR_COLLISION: "A motor would sit inside another motor.",
     Reason.NO_ACCESS: "Two motors sit so close in one body that one of them cannot be put in or screwed down.",
     Reason.BONE_SEVERED: "Making room for the motor would cut a rigid body in pieces.",

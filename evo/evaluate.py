@@ -14,11 +14,10 @@ from decoder.design import VoxelDesign
 from decoder.latent import DEFAULT_DECODER, Decoder, make_decoder
 from evo.evaluation import Candidate, Evaluation, Walk
 from evo.fitness import DEFAULT_RULE, FitnessRule
-from mfg import pipeline
-from mfg.catalogue import Catalogue
+from evo.judge import DEFAULT_JUDGE, Judge
 from mfg.description import Description, describe
 from mfg.outcome import Failure, Reason, Stage
-from mfg.parts import PAPER
+from mfg.pipeline import Outcome
 from sim.gaits import SCREENING, THOROUGH, GaitBudget, GaitResult, refine, search_gait
 from sim.rollout import Diverged
 
@@ -65,25 +64,23 @@ class Evaluate:
         decoder: for `decoder.latent.make_decoder`.
         rule: how speed and manufacturability make the fitness.
         budget: of the gait search.
-        catalogue: of parts.
+        judge: says whether a body can be built, by which rules and with which parts.
         learning: that follows the gait, or None.
-        solver: rules of the pipeline.
     """
 
     seed: int
     decoder: str = DEFAULT_DECODER
     rule: FitnessRule = DEFAULT_RULE
     budget: GaitBudget = SCREENING
-    catalogue: Catalogue = PAPER
+    judge: Judge = DEFAULT_JUDGE
     learning: Learning | None = None
-    solver: pipeline.Rules = "paper"
 
     def __call__(self, candidate: Candidate) -> Evaluation:
         """Decode, score without exact solids, and search a gait from nothing."""
         stages: dict[str, float] = {}
         with _timed(stages, "decode"):
             design = decode(self.decoder, candidate)
-        outcome = pipeline.score(design, self.catalogue, self.solver)
+        outcome = self.judge.score(design)
         stages |= outcome.seconds
         if not outcome.ok:
             return Evaluation(candidate, design.key, outcome.scores, outcome.failure, stages=stages)
@@ -107,18 +104,16 @@ class EvaluateTwin:
         decoder: for `decoder.latent.make_decoder`.
         rule: how speed and manufacturability make the fitness.
         budget: of the gait search; its last measurement decides whether the body walks.
-        catalogue: of parts.
+        judge: says whether a body can be built, by which rules and with which parts.
         learning: that follows the gait, or None.
-        solver: rules of the pipeline.
     """
 
     seed: int
     decoder: str = DEFAULT_DECODER
     rule: FitnessRule = DEFAULT_RULE
     budget: GaitBudget = THOROUGH
-    catalogue: Catalogue = PAPER
+    judge: Judge = DEFAULT_JUDGE
     learning: Learning | None = None
-    solver: pipeline.Rules = "paper"
 
     def __call__(self, screened: Evaluation) -> Evaluation:
         """Decode, build exact solids, and refine the gait on the twin.
@@ -132,7 +127,7 @@ class EvaluateTwin:
         stages: dict[str, float] = {}
         with _timed(stages, "decode"):
             design = decode(self.decoder, candidate)
-        outcome = pipeline.build(design, self.catalogue, self.solver)
+        outcome = self.judge.build(design)
         stages |= outcome.seconds
         if not outcome.ok:
             return Evaluation(candidate, design.key, outcome.scores, outcome.failure, stages=stages)
@@ -159,7 +154,7 @@ def _decoder(name: str) -> Decoder:
 
 
 def _judged(
-    candidate: Candidate, outcome: pipeline.Outcome, description: Description, found: GaitResult,
+    candidate: Candidate, outcome: Outcome, description: Description, found: GaitResult,
     by: Evaluate | EvaluateTwin, rng: np.random.Generator, stages: dict[str, float],
 ) -> Evaluation:  # fmt: skip
     behaviour, task = found.behaviour, found.score
@@ -174,9 +169,7 @@ def _judged(
     return Evaluation(candidate, outcome.design.key, outcome.scores, None, walk, fitness, stages)
 
 
-def _diverged(
-    candidate: Candidate, outcome: pipeline.Outcome, error: Diverged, stages: Mapping[str, float]
-) -> Evaluation:
+def _diverged(candidate: Candidate, outcome: Outcome, error: Diverged, stages: Mapping[str, float]) -> Evaluation:
     """Physics that explodes says nothing about the body, so it is a lost measurement and not a slow robot."""
     failure = Failure(Stage.WORKER, Reason.CRASHED, str(error))
     return Evaluation(candidate, outcome.design.key, outcome.scores, failure, stages=stages)

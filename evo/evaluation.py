@@ -79,6 +79,8 @@ class Evaluation:
         walk: how it moves; None if it was not simulated.
         fitness: by the run's rule; None for a failure and for one that breaks the rule's constraint.
         stages: wall time of every stage [s]; the only part that differs between two runs of the same seed.
+        changes: made to the decoded body, in words and in order; only a repaired body has any.
+        repaired: the answer for the body changed as little as helps; None where that was not asked for or needed.
     """
 
     candidate: Candidate
@@ -88,6 +90,8 @@ class Evaluation:
     walk: Walk | None = None
     fitness: float | None = None
     stages: Mapping[str, float] = field(default_factory=dict)
+    changes: tuple[str, ...] = ()
+    repaired: Evaluation | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be ordered."""

@@ -24,12 +24,13 @@ from mfg.outcome import Failure, Reason, Scores, Stage
 from sim.actor import Gait
 
 VERSION = 1
-Table = Literal["evaluations", "finals"]
+Table = Literal["evaluations", "finals", "repairs"]
 
 _SCORES = ("s_motor", "s_elec", "s_cable", "s_elec_inst", "s_body_inst")  # in the order of `Scores`
 _WALK = ("task", "speed", "heading", "distance", "episode", "body_length", "mass")  # numbers of a `Walk`
 
-# `finals` holds the best candidates again, built and measured as twins: the same columns, the same ids.
+# `finals` holds the best candidates again, built and measured as twins, and `repairs` those that failed, as far as a
+# change of the body helps: the same columns, the same ids.
 _COLUMNS = """
     id INTEGER PRIMARY KEY,    -- generation * popsize + candidate
     generation INTEGER NOT NULL,
@@ -60,6 +61,7 @@ _SCHEMA = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE evaluations ({_COLUMNS});
 CREATE TABLE finals ({_COLUMNS});
+CREATE TABLE repairs ({_COLUMNS}, changes TEXT NOT NULL);  -- JSON: a list of texts
 CREATE TABLE timings (
     id INTEGER NOT NULL, round TEXT NOT NULL, stage TEXT NOT NULL, seconds REAL NOT NULL,
     PRIMARY KEY (id, round, stage)
@@ -141,7 +143,7 @@ class Record:
         return self._before + time.monotonic() - self._opened
 
     def add(self, evaluation: Evaluation, seconds: float, table: Table = "evaluations") -> None:
-        """Commit one evaluation.
+        """Commit one evaluation, and with it that of the repaired body.
 
         Args:
             evaluation: what to keep.
@@ -152,12 +154,11 @@ class Record:
             ValueError: if the candidate's index is not below popsize.
             RecordError: if it cannot be written, because the disk is full for example.
         """
-        row = _row(evaluation, self._id(evaluation.candidate), seconds)
-        stages = [(row["id"], table, stage, time) for stage, time in evaluation.stages.items()]
-        marks = ", ".join("?" * len(_NAMES))
+        identity = self._id(evaluation.candidate)
         with _storage(self._path), self._connection:
-            self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", [row[name] for name in _NAMES])
-            self._connection.executemany("INSERT INTO timings VALUES (?, ?, ?, ?)", stages)
+            self._insert(table, evaluation, identity, seconds)
+            if evaluation.repaired is not None:
+                self._insert("repairs", evaluation.repaired, identity, sum(evaluation.repaired.stages.values()))
             # With every row, so that a killed session counts too.
             self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('seconds', ?)", (repr(self.seconds()),))
 
@@ -165,18 +166,30 @@ class Record:
         """Everything recorded, or one generation of it, by id; wall times are not read back."""
         where, values = ("", ()) if generation is None else (" WHERE generation = ?", (generation,))
         with _storage(self._path):
-            rows = self._connection.execute(f"SELECT {', '.join(_NAMES)} FROM {table}{where} ORDER BY id", values)
-            return [_evaluation(dict(zip(_NAMES, row, strict=True))) for row in rows]
+            names = _names(table)
+            rows = self._connection.execute(f"SELECT {', '.join(names)} FROM {table}{where} ORDER BY id", values)
+            return [_evaluation(dict(zip(names, row, strict=True))) for row in rows]
 
     def count(self, table: Table = "evaluations") -> int:
         """How many rows there are."""
         with _storage(self._path):
             return int(self._connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0])
 
+    def _insert(self, table: Table, evaluation: Evaluation, identity: int, seconds: float) -> None:
+        row, names = _row(evaluation, identity, seconds), _names(table)
+        stages = [(identity, table, stage, time) for stage, time in evaluation.stages.items()]
+        marks = ", ".join("?" * len(names))
+        self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", [row[name] for name in names])
+        self._connection.executemany("INSERT INTO timings VALUES (?, ?, ?, ?)", stages)
+
     def _id(self, candidate: Candidate) -> int:
         if not 0 <= candidate.index < self._popsize:
             raise ValueError(f"candidate index is {candidate.index}; this run has {self._popsize} per generation")
         return candidate.generation * self._popsize + candidate.index
+
+
+def _names(table: Table) -> tuple[str, ...]:
+    return (*_NAMES, "changes") if table == "repairs" else _NAMES
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -212,6 +225,7 @@ def _row(evaluation: Evaluation, identity: int, seconds: float) -> dict[str, Any
         "s_mfg": evaluation.scores.total,
         "fitness": evaluation.fitness,
         "seconds": seconds,
+        "changes": json.dumps(evaluation.changes, ensure_ascii=False),
         **dict(zip(_SCORES, evaluation.scores.values(), strict=True)),
         "gait": None if walk is None else gait_to_json(walk.gait),
         **{name: None if walk is None else getattr(walk, name) for name in _WALK},
@@ -230,7 +244,7 @@ def _evaluation(row: Mapping[str, Any]) -> Evaluation:
     scores = {f.name: row[column] for f, column in zip(fields(Scores), _SCORES, strict=True)}
     return Evaluation(
         Candidate(row["generation"], row["candidate"], latent), row["design"], Scores(**scores), failure, walk,
-        row["fitness"],
+        row["fitness"], changes=tuple(json.loads(row.get("changes", "[]"))),
     )  # fmt: skip
 
 

@@ -3,7 +3,9 @@
 A round: the pipeline scores the design with a catalogue, a gait is searched on the robot that comes out, its torques
 and speeds say what is needed, and `mfg.selection` chooses the next catalogue. Motors that do not fit the body are left
 out as the rounds meet them. The start is the lightest motor that fits, so that the climb ends at the first one that
-bears its own robot; `Margins.drivers` says whether motors that this program cannot drive count.
+bears its own robot; `Margins.drivers` says whether motors that this program cannot drive count. A body can be built
+with chosen parts if some choice bears the robot that it makes: where the choice repeats (FIXED), or, where it goes
+round or no part meets what one robot of it needs, if another robot of it bears itself.
 """
 
 from __future__ import annotations
@@ -15,22 +17,26 @@ from enum import StrEnum
 import numpy as np
 
 from decoder.design import VoxelDesign
+from evo.needs import needs_of
 from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue
-from mfg.component_file import Library
 from mfg.description import describe
-from mfg.outcome import Failure
+from mfg.library import Library
+from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import Outcome, score
-from mfg.selection import JointNeed, Margins, Needs, Selection, Unmet, controllers_for, select, suits, unmet
-from sim.actor import Gait
+from mfg.repair import progress as reached
+from mfg.selection import Margins, Needs, Selection, Unmet, controllers_for, select, suits, unmet
 from sim.gaits import SCREENING, GaitBudget, search_gait
-from sim.model import Model, compile_model
-from sim.rollout import Diverged, roll_out
+from sim.model import compile_model
+from sim.rollout import Diverged
 
 ROUNDS = 6
-WORK = 10.0  # length of the rollout in which needs are measured [s]
-SHARE = 0.99  # quantile over time that counts as a peak: what is above it lasts a hundredth of the time, as impacts do
+
+PART_STAGES = {
+    "motor": Stage.MOTOR, "battery": Stage.ELECTRONICS, "controller": Stage.ELECTRONICS, "wire": Stage.WIRE,
+}  # fmt: skip
+PAST_MOTORS = (Stage.ELECTRONICS, Stage.WIRE, Stage.PRINT)  # where another controller may help
 
 Score = Callable[[VoxelDesign, Catalogue], Outcome]
 
@@ -71,8 +77,9 @@ class Sized:
 
     Attributes:
         catalogue: whose parts bear the robot that they make; None where there is none.
-        outcome: of the pipeline with that catalogue, or of the last try.
+        outcome: of the pipeline with that catalogue, or of the try that got furthest.
         end: how it ended.
+        failure: why the body cannot be built with chosen parts; None where there is a catalogue.
         reason: one line for people.
         rounds: what was needed and chosen.
         refused: (motor, why the body does not take it), as met.
@@ -81,9 +88,23 @@ class Sized:
     catalogue: Catalogue | None
     outcome: Outcome
     end: End
+    failure: Failure | None
     reason: str
     rounds: tuple[Round, ...]
     refused: tuple[tuple[str, Failure], ...]
+
+    @property
+    def verdict(self) -> Outcome:
+        """The outcome as commands judge it: with this failure, or with a note of what was chosen."""
+        if self.failure is not None:
+            return replace(self.outcome, failure=self.failure)
+        catalogue = self.outcome.blueprint.catalogue
+        note = f"parts chosen in {len(self.rounds)} round(s): {', '.join(_names(catalogue))}"
+        if self.end is not End.FIXED:
+            note += f"; they bear their own robot, but the choice did not repeat ({self.end})"
+        if catalogue.motor.driver == "none":
+            note += f"; this program has no driver for {catalogue.motor.name}, so it cannot deploy a policy on it"
+        return replace(self.outcome, blueprint=self.outcome.blueprint.noted(note))
 
 
 def sized(
@@ -103,65 +124,46 @@ def sized(
         margins: of the choice, and which motors count.
         duration: of the work that the battery must last [s].
         rounds: at most.
-        progress: told (round, rounds, motor) before each gait search.
+        progress: told (round, rounds, names of the parts) before each gait search.
     """
     margins = margins or Margins()
     seed = int(rng.integers(2**63))
     body = _Body(design, base, parts, solve, margins)
     started = body.first()
     if started is None:
-        why = str(body.last.failure) if body.last is not None else "there are no parts"
-        return body.ended(None, End.NO_FIT, f"no motor fits the body, the last one failed at {why}", ())
+        return body.unfit()
     outcome, done = started, list[Round]()
     for number in range(1, rounds + 1):
         catalogue = outcome.blueprint.catalogue
         if progress is not None:
-            progress(number, rounds, catalogue.motor.name)
+            progress(number, rounds, " + ".join(_names(catalogue)))
         try:
             this = _measured(outcome.blueprint, seed, budget, duration, parts, base, margins)
         except Diverged as error:
-            return body.ended(None, End.NO_FIT, f"no gait to size from: {error}", done)
+            # Physics that explodes says nothing about the body, so it is a lost measurement.
+            reason = f"no gait to size from: {error}"
+            failure = Failure(Stage.WORKER, Reason.CRASHED, reason)
+            return body.ended(None, outcome, End.NO_FIT, reason, done, failure)
         done.append(this)
         following = body.next(this)
         if isinstance(following, Unmet):
-            kept = _best(done)
-            return body.ended(kept, End.NO_FIT if kept is None else End.CYCLE, _no_fit(following, body, kept), done)
+            kept, reason = _best(done), _no_fit(following, body, _best(done))
+            failure = Failure(PART_STAGES[following.what], Reason.NO_PART, reason)
+            return body.ended(kept, outcome, End.NO_FIT if kept is None else End.CYCLE, reason, done, failure)
         names = _names(following.blueprint.catalogue)
         if names == _names(catalogue):
-            return body.ended(following, End.FIXED, f"{catalogue.motor.name} bears its own robot", done)
+            return body.ended(catalogue, outcome, End.FIXED, f"{catalogue.motor.name} bears its own robot", done)
         earlier = [r for r in done if _names(r.catalogue) == names]
         if earlier:
             cycle = done[done.index(earlier[0]) :]
             kept = _best(cycle)
             path = " > ".join(" + ".join(_names(r.catalogue)) for r in cycle)
-            verdict = "none of them bears its own robot" if kept is None else f"kept {kept.motor.name}, which does"
-            return body.ended(kept, End.CYCLE, f"the choice goes round: {path}; {verdict}", done)
+            verdict = "none of them bears its own robot" if kept is None else f"kept {_kept(kept)}"
+            return body.unsettled(kept, outcome, End.CYCLE, f"the choice goes round: {path}; {verdict}", done)
         outcome = following
     kept = _best(done)
-    verdict = "none bore its own robot" if kept is None else f"kept {kept.motor.name}, which bears its own robot"
-    return body.ended(kept, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
-
-
-def needs_of(model: Model, gait: Gait, duration: float, seconds: float = WORK) -> Needs:
-    """What a gait asks of every joint: peaks are the `SHARE` quantile over control steps, rms is over all steps.
-
-    The speed at the peak is the greatest one at which at least nine tenths of the peak torque drove the joint.
-    """
-    rollout = roll_out(model, [gait], seconds)
-    torque, speed = rollout.torque[0], rollout.speed[0]
-    peak = np.quantile(np.abs(torque), SHARE, axis=0)
-    top = np.quantile(np.abs(speed), SHARE, axis=0)
-    joints = []
-    for k in range(model.nu):
-        driving = (np.abs(torque[:, k]) >= 0.9 * peak[k]) & (torque[:, k] * speed[:, k] > 0)
-        at_peak = min(float(np.abs(speed[driving, k]).max(initial=0.0)), float(top[k]))
-        joints.append(JointNeed(
-            model.actuator(k).name, float(peak[k]), at_peak, float(rollout.rms_torque[0, k]), float(top[k]),
-            float(np.sqrt(np.square(speed[:, k]).mean())),
-        ))  # fmt: skip
-    sum_of_peaks = float(np.abs(torque).max(axis=0).sum())
-    together = float(np.abs(torque).sum(axis=1).max()) / sum_of_peaks if sum_of_peaks > 0 else 1.0
-    return Needs(tuple(joints), duration, together)
+    verdict = "none bore its own robot" if kept is None else f"kept {_kept(kept)}"
+    return body.unsettled(kept, outcome, End.ROUNDS, f"still changing after {rounds} rounds; {verdict}", done)
 
 
 def _measured(
@@ -184,7 +186,7 @@ class _Body:
         self.design, self.base, self.parts, self.solve, self.margins = design, base, parts, solve, margins
         self.refused: dict[str, Failure] = {}
         self.tried: dict[tuple[str, ...], Outcome] = {}
-        self.last: Outcome | None = None
+        self.closest: Outcome | None = None  # of the tries that failed
 
     def first(self) -> Outcome | None:
         """The design with the first motor that fits it, in the order of preference, and the lightest other parts."""
@@ -201,6 +203,8 @@ class _Body:
             outcome = self.fitted(catalogue, len(self.design.joints))
             if outcome.ok:
                 return outcome
+            if outcome.blueprint.tree is None:
+                return None  # Not even a skeleton: no part mends that.
         return None
 
     def next(self, this: Round) -> Outcome | Unmet:
@@ -224,23 +228,49 @@ class _Body:
             if names not in self.tried:
                 self.tried[names] = self.solve(self.design, parts)
             outcome = self.tried[names]
-            if outcome.ok:
+            if outcome.failure is None:
                 return outcome
+            if self.closest is None or reached(outcome) > reached(self.closest):
+                self.closest = outcome
+            if outcome.failure.stage not in PAST_MOTORS:
+                break
         assert outcome is not None and outcome.failure is not None  # noqa: PT018 - one fact about the loop above
-        self.last = outcome
         self.refused.setdefault(catalogue.motor.name, outcome.failure)
         return outcome
 
-    def ended(self, kept: Catalogue | Outcome | None, end: End, reason: str, done: list[Round] | tuple[()]) -> Sized:
-        catalogue = kept.blueprint.catalogue if isinstance(kept, Outcome) else kept
-        outcome = self.last if catalogue is None else self.tried[_names(catalogue)]
-        if outcome is None:
-            outcome = next(iter(self.tried.values())) if self.tried else self.solve(self.design, self.base)
-        return Sized(catalogue, outcome, end, reason, tuple(done), tuple(self.refused.items()))
+    def ended(
+        self, kept: Catalogue | None, last: Outcome, end: End, reason: str, done: list[Round],
+        failure: Failure | None = None,
+    ) -> Sized:  # fmt: skip
+        """The answer: with the catalogue that was kept, or with the last robot."""
+        outcome, why = (last, failure) if kept is None else (self.tried[_names(kept)], None)
+        return Sized(kept, outcome, end, why, reason, tuple(done), tuple(self.refused.items()))
+
+    def unsettled(self, kept: Catalogue | None, last: Outcome, end: End, reason: str, done: list[Round]) -> Sized:
+        """The answer where the choice does not repeat."""
+        return self.ended(kept, last, end, reason, done, Failure(Stage.MOTOR, Reason.UNSETTLED, reason))
+
+    def unfit(self) -> Sized:
+        """The answer where the body takes no motor: the failure of the try that got furthest."""
+        if self.closest is None or self.closest.failure is None:
+            outcome = self.solve(self.design, self.base)
+            failure = Failure(Stage.MOTOR, Reason.NO_PART, "there is no motor with a battery, a controller and a wire")
+        else:
+            outcome, failure = self.closest, self.closest.failure
+        named = outcome.blueprint.tree is not None and failure is outcome.failure
+        if named:  # Else no motor is to blame.
+            tries = f"no motor of {len(self.refused)} fits; closest, {outcome.blueprint.catalogue.motor.name}"
+            failure = replace(failure, detail=f"{tries}: {failure.detail}")
+        refused = tuple(self.refused.items())
+        return Sized(None, outcome, End.NO_FIT, failure, f"no motor fits the body: {failure}", (), refused)
 
 
 def _names(catalogue: Catalogue) -> tuple[str, ...]:
     return catalogue.motor.name, catalogue.battery.name, catalogue.computer.name, catalogue.wire.name
+
+
+def _kept(catalogue: Catalogue) -> str:
+    return f"{' + '.join(_names(catalogue))}, which bears its own robot"
 
 
 def _best(rounds: list[Round]) -> Catalogue | None:
@@ -252,4 +282,4 @@ def _best(rounds: list[Round]) -> Catalogue | None:
 def _no_fit(lack: Unmet, body: _Body, kept: Catalogue | None) -> str:
     refused = ", ".join(f"{name} ({failure.stage}: {failure.reason})" for name, failure in body.refused.items())
     text = f"{lack}" + (f"; the body does not take {refused}" if refused else "")
-    return text if kept is None else f"{text}; kept {kept.motor.name}, which bears its own robot"
+    return text if kept is None else f"{text}; kept {_kept(kept)}"

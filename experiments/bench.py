@@ -10,17 +10,18 @@ import argparse
 import itertools
 import json
 import platform
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any
 
+from experiments.bench_search import search
 from experiments.bench_training import training
+from experiments.measuring import clock, peak, timed
 from experiments.output import VERSION, count, make_folder, progress, say
 from experiments.run_folder import cores
 
@@ -36,11 +37,8 @@ SCORE, BUILD, BARE = 0.15, 0.7, 0.95  # goals of the design, on two cores: [s], 
 MODEL = 0.06  # goal for a virtual robot, from voxels to what MuJoCo steps [s]
 HELP_TIME = 0.5  # goal [s]
 GAITS, GAIT_SECONDS, REPEATS = 16, 4.0, 3  # of the comparison with the bare simulator
-MIB = 2**20
 MARK = "<!-- bench -->"
 
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
 Row = dict[str, Any]  # {"what", "value", "unit", "goal": text or None, "note": text or None}
 
 
@@ -48,6 +46,7 @@ def main() -> int:
     """Measure everything, print the table, write it as JSON and into the README."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
     parser.add_argument("-n", type=count, default=30, help="designs (30)")
+    parser.add_argument("--searched", type=count, default=50, help="designs for the search rules (50)")
     parser.add_argument("--evaluations", type=count, default=24, help="evaluations per number of workers (24)")
     parser.add_argument("--out", type=Path, required=True, help="JSON to write")
     parser.add_argument("--readme", type=Path, help="put the table between its two bench marks")
@@ -55,7 +54,8 @@ def main() -> int:
     make_folder(args.out.parent)
     rows: list[Row] = []
     learning = training(row, cores())
-    sections = (designs(args.n), motor_scan(), simulator(), learning, workers(args.evaluations), start(), memory())
+    sections = (designs(args.n), motor_scan(), search(row, args.searched), simulator(), learning,
+                workers(args.evaluations), start(), memory())  # fmt: skip
     for found in itertools.chain.from_iterable(sections):  # Generators: each section measures when its turn comes.
         say(line(found))
         rows.append(found)
@@ -253,14 +253,6 @@ def peak_after(candidate: Candidate) -> float:
     return peak()
 
 
-def peak() -> float:
-    """Peak resident memory of this process [MiB]."""
-    status = Path("/proc/self/status")
-    if status.exists():  # Linux lets a child inherit its parent's peak in getrusage, but not here.
-        return next(int(t.split()[1]) for t in status.read_text().splitlines() if t.startswith("VmHWM")) * 1024 / MIB
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MIB
-
-
 def random_designs() -> Iterator[VoxelDesign]:
     """Bodies from the prior, one after the other."""
     import numpy as np
@@ -271,20 +263,6 @@ def random_designs() -> Iterator[VoxelDesign]:
     rng = np.random.default_rng(SEED)
     while True:
         yield from decoder.decode(sample_latents(1, rng))
-
-
-def clock(action: Callable[[], object], now: Callable[[], float] = time.perf_counter) -> float:
-    """Seconds that an action takes, of wall time or by another clock."""
-    started = now()
-    action()
-    return now() - started
-
-
-def timed(action: Callable[Given, Result], *given: Given.args, **named: Given.kwargs) -> tuple[float, Result]:
-    """Seconds of wall time that a call takes, and what it returns."""
-    started = time.perf_counter()
-    result = action(*given, **named)
-    return time.perf_counter() - started, result
 
 
 def row(what: str, value: float, unit: str, goal: str | None = None, note: str | None = None) -> Row:

@@ -112,13 +112,13 @@ def training(row: Any, processes: int, model: Model | None = None) -> Iterator[R
 
 def reference() -> Model:
     """The painted quadruped with its hardware in it."""
-    from experiments.build import catalogue_of, read_design
+    from experiments.build import read_design
     from mfg.description import describe
     from mfg.pipeline import score
     from sim.herd import with_latency_room
     from sim.model import make_spec
 
-    return with_latency_room(make_spec(describe(score(read_design(ROBOT), catalogue_of("paper")).blueprint)))
+    return with_latency_room(make_spec(describe(score(read_design(ROBOT)).blueprint)))
 
 
 def fresh(model: Model, seed: int, nthread: int = 1, settings: Any = None) -> tuple[Watched, Learner]:

@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.output import BAD_INPUT, CATALOGUES, DONE, INFEASIBLE, SOLVERS, BadInput, emit, make_folder, say
+from experiments.judging import add_pipeline_options, judge_of, tell_round
+from experiments.output import BAD_INPUT, DONE, INFEASIBLE, BadInput, emit, make_folder, say
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign
-    from mfg.catalogue import Catalogue
+    from evo.judge import Judge
     from mfg.pipeline import Outcome
     from mfg.slicer import SliceReport
 
@@ -35,29 +36,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
-def add_pipeline_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that choose solvers and components."""
-    parser.add_argument("--solver", choices=SOLVERS, default="paper", help="how solvers search (paper)")
-    parser.add_argument("--catalogue", choices=CATALOGUES, default="paper", help="which components (paper)")
-
-
 def main(args: argparse.Namespace) -> int:
     """Build one design; status 1 if it cannot be built."""
     from mfg.export import write_blueprint
     from mfg.picture import picture_of_blueprint
-    from mfg.pipeline import build
     from mfg.render import save_png
     from mfg.slicer import clock
 
     if args.slice:
         _need_slicer()
     design = read_design(args.design)
+    judge = judge_of(args.solver, args.catalogue, args.parts)
     # Made before the work, so that a folder that cannot be written to is found at once.
     existed = args.out.is_dir()
     folder = make_folder(args.out)
-    outcome = build(design, catalogue_of(args.catalogue), args.solver)
+    outcome = judge.build(design, tell_round)
     if not outcome.ok and args.repair:
-        outcome = _repaired(outcome, args)
+        outcome = _repaired(outcome, judge, args.design)
     if not outcome.ok:
         if not existed:
             folder.rmdir()
@@ -92,23 +87,20 @@ def main(args: argparse.Namespace) -> int:
     return status
 
 
-def _repaired(outcome: Outcome, args: argparse.Namespace) -> Outcome:
+def _repaired(outcome: Outcome, judge: Judge, path: Path) -> Outcome:
     """The blueprint of the body changed as little as helps, with notes of every change; the given one if none helps."""
-    from mfg.pipeline import build, score
     from mfg.repair import repaired
 
-    parts = catalogue_of(args.catalogue)
-    say(f"{args.design} cannot be built as it is: {outcome.failure}")
+    say(f"{path} cannot be built as it is: {outcome.failure}")
     say("trying changes to the body, the smallest first")
-    repair = repaired(outcome.design, lambda design: score(design, parts, args.solver))
-    again = build(repair.changes[-1].design, parts, args.solver) if repair.changes else outcome
-    if not again.ok:
+    repair = repaired(outcome, judge.build)
+    if not repair.ok:
         say(f"none of {repair.tried} bodies can be built")
         return outcome
-    blueprint = again.blueprint
+    blueprint = repair.outcome.blueprint
     for change in repair.changes:
-        blueprint = blueprint.noted(f"repaired: {change.what} ({change.size:+.0%} bone)")
-    return replace(again, blueprint=blueprint)
+        blueprint = blueprint.noted(f"repaired: {change}")
+    return replace(repair.outcome, blueprint=blueprint)
 
 
 def _need_slicer() -> None:
@@ -147,10 +139,3 @@ def read_design(path: Path) -> VoxelDesign:
     if path.suffix.lower() in MESHES:
         raise BadInput(f"{path}: bodies from a mesh arrive in a later version; give a .npz or a painted .vox")
     return load_design(path)
-
-
-def catalogue_of(name: str) -> Catalogue:
-    """The catalogue of that name, one of `experiments.output.CATALOGUES`."""
-    from mfg.parts import PAPER
-
-    return {"paper": PAPER}[name]

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import collections
-import functools
 import multiprocessing
 import sys
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING
 from experiments.output import DONE, INFEASIBLE, add_decoder_option, progress
 
 if TYPE_CHECKING:
-    from decoder.latent import Decoder
+    pass
 
 LEAST_AGREEMENT, MOST_DIFFERENCE = 0.99, 0.05  # of the benchmark
 
@@ -75,12 +74,13 @@ def compare(task: tuple[str, int, int]) -> Comparison:
     import numpy as np
 
     from decoder.latent import sample_latents
+    from experiments.study import decoder_of
     from mfg.finish import FinishSolver
     from mfg.outcome import Failure, Stage
     from mfg.pipeline import score
 
     name, seed, index = task
-    design = _decoder(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
+    design = decoder_of(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
     outcome = score(design)
     fast = "passed" if outcome.failure is None else str(outcome.failure)
     if outcome.failure is not None and outcome.failure.stage != Stage.PRINT:
@@ -91,14 +91,6 @@ def compare(task: tuple[str, int, int]) -> Comparison:
     pairs = zip(outcome.scores.values(), full.scores.values(), strict=True)
     difference = max(abs(a - b) for a, b in pairs if a is not None and b is not None)
     return Comparison(index, fast, "passed", difference)
-
-
-@functools.cache
-def _decoder(name: str) -> Decoder:
-    """Each process makes a decoder once."""
-    from decoder.latent import make_decoder
-
-    return make_decoder(name)
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 BAD_INPUT_ERRORS = frozenset({
     "decoder.design_file.DesignError", "mfg.manifest.ManifestError", "sim.model.ModelError",
     "hardware.document.BundleError", "evo.loop.ResumeError", "hardware.log.LogError", "decoder.weights.WeightsError",
+    "mfg.component_file.ComponentError",
 })  # fmt: skip
 
 STORY = """\
@@ -44,6 +45,7 @@ a first session:
   bodyplan score bodies/*.npz                  can each one be built, and how easily?
   bodyplan build experiments/examples/quadruped.vox --out robot      a painted one, as a folder to print
   bodyplan simulate robot --video walk.mp4     find a gait for it and film it
+  bodyplan build experiments/examples/tripod.vox --out tripod --catalogue auto     with the parts that its gait asks for
 
 an experiment:
   bodyplan run experiments/configs/quickstart.toml --out runs/first

@@ -1,22 +1,29 @@
-"""Typed configuration files: TOML in, frozen records out, and one clear line for anything that is wrong."""
+"""The configuration of every experiment: frozen records, read from TOML files and written to them."""
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-import math
 import re
-import tomllib
-import typing
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-from experiments.output import DECODERS, DEFAULT_DECODER, MOST_BODIES, SEED_BOUND, WEIGHTS_SUFFIX, BadInput
+from experiments.output import (
+    DECODERS,
+    DEFAULT_DECODER,
+    MOST_BODIES,
+    SEED_BOUND,
+    WEIGHTS_SUFFIX,
+    BadInput,
+    Catalogues,
+    Priors,
+    Solvers,
+)
 from experiments.policy_config import Policy
+from experiments.toml_document import checked, read_document, remedy, shown
 from experiments.toml_text import flat, toml_table, toml_value
 
 if TYPE_CHECKING:
@@ -24,13 +31,10 @@ if TYPE_CHECKING:
     from evo.fitness import FitnessRule
     from sim.gaits import GaitBudget
 
-S = TypeVar("S", bound=Struct)
-
 Seed = Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)]
 Seconds = Annotated[float, Meta(ge=0.1, le=1000.0)]
 Film = Annotated[float, Meta(ge=0.0, le=100.0)]
 Workers = Annotated[int, Meta(ge=0, le=1024)]
-Solver = Literal["paper", "search"]
 DecoderName = Annotated[
     str,
     Meta(
@@ -39,15 +43,9 @@ DecoderName = Annotated[
         examples=list(DECODERS),
     ),
 ]
-CatalogueName = Literal["paper"]
-Prior = Literal["normal", "uniform"]
+Folder = Annotated[str, Meta(min_length=1)]
 
 NO_RESULT = ("workers", "film")  # keys that change no number of a run
-
-# Words of the design that this version does not know yet.
-LATER = {
-    ("catalogue", "auto"): "the choice of components per joint",
-}
 
 
 class Search(Struct, frozen=True, forbid_unknown_fields=True):
@@ -155,7 +153,9 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
         decoder: what turns latents into bodies: a name, or a file of weights for the learned decoder; in a
             configuration file its path is relative to that file.
         solver: how manufacturing constraints are solved.
-        catalogue: which components.
+        catalogue: which components: the paper's, or "auto" for those that each robot's own gait asks for.
+        parts: with "auto", a folder of component files to choose from too; in a configuration file its path is
+            relative to that file.
         workers: processes; none given means one per core. It changes no result.
         film: length of the winner's film [s], 0 for none. It changes no result.
         timeout: how long one evaluation may take before it is stopped [s]; a hang, for whatever takes seconds.
@@ -169,8 +169,9 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["evolve"]
     seed: Seed = 0
     decoder: DecoderName = DEFAULT_DECODER
-    solver: Solver = "paper"
-    catalogue: CatalogueName = "paper"
+    solver: Solvers = "paper"
+    catalogue: Catalogues = "paper"
+    parts: Folder | None = None
     workers: Workers | None = None
     film: Film = 6.0
     timeout: Annotated[float, Meta(ge=1.0, le=1e6)] = 1800.0
@@ -192,7 +193,10 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
             configuration file its path is relative to that file.
         prior: law of the latents.
         solver: how manufacturing constraints are solved.
-        catalogue: which components.
+        catalogue: which components: the paper's, or "auto" for those that each robot's own gait asks for.
+        parts: with "auto", a folder of component files to choose from too; in a configuration file its path is
+            relative to that file.
+        repair: whether bodies that cannot be built are changed as little as helps; they are counted apart.
         workers: processes; none given means one per core. It changes no result.
     """
 
@@ -200,9 +204,11 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
     n: Annotated[int, Meta(ge=1, le=MOST_BODIES)] = 1000
     seed: Seed = 0
     decoder: DecoderName = DEFAULT_DECODER
-    prior: Prior = "normal"
-    solver: Solver = "paper"
-    catalogue: CatalogueName = "paper"
+    prior: Priors = "normal"
+    solver: Solvers = "paper"
+    catalogue: Catalogues = "paper"
+    parts: Folder | None = None
+    repair: bool = False
     workers: Workers | None = None
 
 
@@ -214,7 +220,9 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
         design: the file (.npz or .vox); in a configuration file its path is relative to that file.
         seed: of the search for a gait.
         solver: how manufacturing constraints are solved.
-        catalogue: which components.
+        catalogue: which components: the paper's, or "auto" for those that each robot's own gait asks for.
+        parts: with "auto", a folder of component files to choose from too; in a configuration file its path is
+            relative to that file.
         film: length of the film [s], 0 for none. It changes no result.
         gait: budget of the search.
     """
@@ -222,8 +230,9 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["sketch"]
     design: Annotated[str, Meta(min_length=1)]
     seed: Seed = 0
-    solver: Solver = "paper"
-    catalogue: CatalogueName = "paper"
+    solver: Solvers = "paper"
+    catalogue: Catalogues = "paper"
+    parts: Folder | None = None
     film: Film = 6.0
     gait: ThoroughGait = ThoroughGait()
 
@@ -241,6 +250,8 @@ def load_config(path: Path) -> Config:
     """
     document = read_document(path)
     config = parse_config(document, str(path))
+    if not isinstance(config, Policy) and config.parts is not None:
+        config = msgspec.structs.replace(config, parts=str((path.parent / config.parts).resolve()))
     if isinstance(config, Sketch):
         return msgspec.structs.replace(config, design=str((path.parent / config.design).resolve()))
     if isinstance(config, Policy):
@@ -248,36 +259,6 @@ def load_config(path: Path) -> Config:
     if config.decoder not in DECODERS:
         return msgspec.structs.replace(config, decoder=str((path.parent / config.decoder).resolve()))
     return config
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        BadInput: if it is none.
-        OSError: if it cannot be read.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise BadInput(f"{path} is not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path} is not a TOML file: {error}") from None
-
-
-def checked(document: dict[str, Any], record: type[S], name: str) -> S:
-    """Turn a document into its record.
-
-    Args:
-        document: tables and values.
-        record: what it must hold.
-        name: of the file, for messages.
-
-    Raises:
-        BadInput: naming the key, its value, what is allowed and, for a typo, what was probably meant.
-    """
-    _refuse(document, record, name, "")
-    return msgspec.convert(document, record)
 
 
 def parse_config(document: dict[str, Any], name: str) -> Config:
@@ -297,8 +278,12 @@ def parse_config(document: dict[str, Any], name: str) -> Config:
             raise BadInput(f"{name}: kind is missing; add a line kind = {known}")
         if kind == "train-decoder":
             raise BadInput(f'{name}: kind = "{kind}"; give this file to `bodyplan train-decoder`')
-        raise BadInput(f"{name}: kind = {_shown(kind)}; it must be {known}{_remedy('kind', kind, list(KINDS))}")
-    return checked(document, KINDS[kind], name)
+        raise BadInput(f"{name}: kind = {shown(kind)}; it must be {known}{remedy(kind, list(KINDS))}")
+    config = checked(document, KINDS[kind], name)
+    if not isinstance(config, Policy) and config.parts is not None and config.catalogue != "auto":
+        raise BadInput(f"{name}: parts = {shown(config.parts)}; there is nothing to choose from them but with "
+                       'catalogue = "auto"')  # fmt: skip
+    return config
 
 
 def to_toml(config: Struct) -> str:
@@ -316,74 +301,4 @@ def differences(then: Struct, now: Struct, free: Sequence[str] = NO_RESULT) -> l
     """What two configurations disagree on, but for the keys that are free to differ: those that change no result."""
     before, after = dict(flat(then)), dict(flat(now))
     keys = [key for key in {**before, **after} if key not in free and before.get(key) != after.get(key)]
-    return [f"{key} was {_shown(before.get(key))} and is now {_shown(after.get(key))}" for key in keys]
-
-
-def _refuse(document: dict[str, Any], record: type[Struct], name: str, prefix: str) -> None:
-    """Find the first thing that is wrong, in the order of the file."""
-    hints = typing.get_type_hints(record, include_extras=True)
-    for key, value in document.items():
-        full = prefix + key
-        if key not in hints:
-            raise BadInput(f"{name}: unknown key {full}{_remedy(key, key, list(hints), nouns=True)}")
-        hint = hints[key]
-        if isinstance(hint, type) and issubclass(hint, Struct):
-            if not isinstance(value, dict):
-                raise BadInput(f"{name}: {full} = {_shown(value)}; it must be a table: write [{full}]")
-            _refuse(value, hint, name, full + ".")
-            continue
-        finite = not isinstance(value, float) or math.isfinite(value)
-        try:
-            msgspec.convert(value, hint)
-        except msgspec.ValidationError:
-            finite = False
-        if not finite:
-            raise BadInput(
-                f"{name}: {full} = {_shown(value)}; it must be {_allowed(hint)}{_remedy(key, value, _choices(hint))}"
-            )
-    for field in msgspec.structs.fields(record):
-        if field.required and field.name not in document:
-            raise BadInput(f"{name}: {prefix}{field.name} is missing; it must be {_allowed(hints[field.name])}")
-
-
-def _allowed(hint: Any) -> str:
-    """What a key takes, in words."""
-    if get_origin(hint) is Literal:
-        return " | ".join(f'"{choice}"' for choice in get_args(hint))
-    plain = [part for part in get_args(hint) if part is not type(None)]
-    if get_origin(hint) is not Annotated:  # X | None
-        return _allowed(plain[0])
-    base, meta = plain
-    if base is str:
-        return str(meta.description or "a text that is not empty")
-    low = f"({meta.gt:g}" if meta.gt is not None else f"[{meta.ge:g}"
-    noun = "a whole number" if base is int else "a number"
-    return f"{noun} in {low}, {meta.le if base is int else format(meta.le, 'g')}]"
-
-
-def _choices(hint: Any) -> list[str]:
-    """The names that a key takes."""
-    if get_origin(hint) is Literal:
-        return [str(choice) for choice in get_args(hint)]
-    return next((list(meta.examples or ()) for meta in get_args(hint) if isinstance(meta, Meta)), [])
-
-
-def _remedy(key: str, value: object, known: list[str], nouns: bool = False) -> str:
-    """The end of a message: what was probably meant, or when it will come."""
-    if isinstance(value, str) and (key, value) in LATER:
-        return f"; {LATER[key, value]} arrives in a later version"
-    close = difflib.get_close_matches(str(value), known, n=1)
-    if close:
-        return f"; did you mean {close[0]}?" if nouns else f'; did you mean "{close[0]}"?'
-    return f"; known here are {', '.join(known)}" if nouns else ""
-
-
-def _shown(value: object) -> str:
-    """A value as one would write it in the file, cut short."""
-    if value is None:
-        return "not set"
-    try:
-        text = toml_value(value)
-    except TypeError:
-        text = "a table" if isinstance(value, dict) else str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return [f"{key} was {shown(before.get(key))} and is now {shown(after.get(key))}" for key in keys]

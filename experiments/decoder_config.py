@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from experiments.config import Seed, Workers, checked, read_document
+from experiments.config import Seed, Workers
 from experiments.output import BadInput
+from experiments.toml_document import checked, read_document
 
 KIND = "train-decoder"
 CURVE_SEED = 2_000_000_017  # of the bodies that the curve is measured on; others than those of the closing evaluation

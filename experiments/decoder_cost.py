@@ -15,7 +15,8 @@ import numpy as np
 
 from decoder.evaluation import Cost
 from decoder.latent import make_decoder, sample_latents
-from experiments.bench import clock, machine, peak
+from experiments.bench import machine
+from experiments.measuring import clock, peak
 
 if TYPE_CHECKING:
     from decoder.design import VoxelDesign

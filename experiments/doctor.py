@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from experiments.output import BAD_INPUT, DONE, VERSION, emit, say
 
-HELP = "versions, GPU, GL, slicer, CAN interfaces: what works here"
+HELP = "versions, GPU, GL, slicer, CAN interfaces, components: what works here"
 
 # Distribution and the module it provides. Every one of them is imported: a wheel can be there and its library not.
 REQUIRED = (
@@ -55,11 +55,15 @@ def main(args: argparse.Namespace) -> int:
     broken = [f.name for f in required if not f.ok]
     if args.json:
         groups = {"dependencies": required, "machine": machine, "optional": optional}
-        emit({"ok": not broken, **{name: _as_json(findings) for name, findings in groups.items()}})
+        emit({"ok": not broken, **{name: _as_json(findings) for name, findings in groups.items()}, "parts": _parts()})
     else:
         _table("this machine", machine)
         _table("needed", required)
         _table("optional (bodyplan does its work without; nothing here is required)", optional)
+        print("\ncomponents that --catalogue auto chooses from (--parts DIR adds files like mfg/components/*.toml)")
+        for kind, texts in _parts().items():
+            for text in texts:
+                print(f"       {kind:15s} {text}")
         if not broken:
             print("\nEverything bodyplan needs is here.")
     if broken:
@@ -172,6 +176,29 @@ def _serial() -> Finding:
     if found:
         return Finding("serial", True, f"{', '.join(found)}: a CANable there is --bus slcan:{found[0]}")
     return Finding("serial", False, "no USB serial adapter; a CANable with slcan firmware would appear as /dev/ttyACM0")
+
+
+def _parts() -> dict[str, list[str]]:
+    """What ships, by kind, each in a few words."""
+    try:
+        from mfg.library import read_library
+    except ImportError:  # numpy is missing; that was said above.
+        return {}
+    library = read_library()
+    driven = {"none": ", no driver here"}
+    return {
+        "motor": [f"{m.name}: {m.peak_torque:g} N.m, {m.continuous_torque:.3g} N.m for long, {1e3 * m.mass:.0f} g, "
+                  f"{1e3 * m.diameter:g} x {1e3 * m.length:g} mm{driven.get(m.driver, '')}" for m in library.motors],
+        "battery": [f"{b.name}: {b.voltage:g} V, {b.capacity:g} A.h, {1e3 * b.mass:.0f} g, {_size(b.size)}"
+                    for b in library.batteries],
+        "controller": [f"{c.name}: {c.max_joints} joints, {1e3 * c.mass:.0f} g, {_size(c.size)}"
+                       for c in library.controllers],
+        "wire": [f"{w.name}: {w.max_current or 0:g} A, {1e3 * w.mass_per_metre:g} g/m" for w in library.wires],
+    }  # fmt: skip
+
+
+def _size(size: tuple[float, float, float]) -> str:
+    return " x ".join(f"{1e3 * side:g}" for side in size) + " mm"
 
 
 def _as_json(findings: list[Finding]) -> dict[str, Any]:

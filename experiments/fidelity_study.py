@@ -11,7 +11,6 @@ itself is the most that it can agree with another.
 from __future__ import annotations
 
 import argparse
-import functools
 import multiprocessing
 import os
 import sys
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from decoder.latent import Decoder
     from mfg.blueprint import Blueprint
     from sim.model import Model
 
@@ -231,19 +229,12 @@ def _blueprint(name: str, seed: int, index: int) -> Blueprint | None:
     import numpy as np
 
     from decoder.latent import sample_latents
+    from experiments.study import decoder_of
     from mfg.pipeline import score
 
-    design = _decoder(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
+    design = decoder_of(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
     outcome = score(design)
     return outcome.blueprint if outcome.ok else None
-
-
-@functools.cache
-def _decoder(name: str) -> Decoder:
-    """Each process makes a decoder once."""
-    from decoder.latent import make_decoder
-
-    return make_decoder(name)
 
 
 def _both(one: Sequence[float | None], two: Sequence[float | None]) -> tuple[list[float], list[float]]:

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 T = TypeVar("T")
 
@@ -24,9 +24,10 @@ DEFECT = 70  # exit status: the program itself is at fault
 DECODERS = ("vae", "genome")
 DEFAULT_DECODER = "vae"
 WEIGHTS_SUFFIX = ".safetensors"  # a file of weights for the learned decoder stands where its name does
-PRIORS = ("normal", "uniform")
-SOLVERS = ("paper", "search")
-CATALOGUES = ("paper",)
+Priors = Literal["normal", "uniform"]
+Solvers = Literal["paper", "search"]
+Catalogues = Literal["paper", "auto"]
+PRIORS, SOLVERS, CATALOGUES = get_args(Priors), get_args(Solvers), get_args(Catalogues)
 
 MOST_BODIES = 1_000_000  # in one sample or study: latents of that many fill 2 GB
 SEED_BOUND = 2**63  # seeds are stored as signed 64-bit integers in run files

@@ -66,9 +66,10 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     keep_config(config, folder)
     _same_robot(source, mark.parent / ROBOT, config.robot)
     if mark.exists():
-        trainer = _restored(config, model, workers, mark)
+        trainer = _restored(config, model, source, workers, mark)
     else:
-        trainer = Trainer(model, config.training(), _start(config, model, workers), nthread=workers)
+        start = _start(config, model, workers)
+        trainer = Trainer(model, config.training(), start, others=_others(config, source), nthread=workers)
     with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
         try:
             for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
@@ -87,12 +88,12 @@ def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
             raise BadInput(f"{path} is not the robot.xml of a blueprint folder; give that folder, or a design")
         path = path.parent
     if not path.is_dir():
-        from experiments.build import catalogue_of, read_design
+        from experiments.build import read_design
         from mfg.description import describe
         from mfg.export import write_blueprint
         from mfg.pipeline import build
 
-        outcome = build(read_design(path), catalogue_of("paper"))
+        outcome = build(read_design(path))
         if not outcome.ok:
             raise Impossible(f"{path} cannot be built: {outcome.failure}")
         write_blueprint(outcome, folder / BLUEPRINT)
@@ -116,13 +117,19 @@ def _same_robot(source: Path, path: Path, robot: str) -> None:
         )
 
 
-def _model(config: Policy, source: Path) -> Model:
+def _others(config: Policy, source: Path) -> tuple[Model, ...]:
+    """The robot on sprung pads: beside soft contact, the skin gives sideways and swings back."""
+    return (_model(config, source, "sprung"),) if config.randomise else ()
+
+
+def _model(config: Policy, source: Path, level: str = "compliant") -> Model:
     from sim.herd import with_latency_room
     from sim.model import ModelError, load_spec
+    from sim.skin import Fidelity
     from sim.terrain import Kind, Terrain, lay
 
     try:
-        spec = load_spec(source / "robot.xml")
+        spec = load_spec(source / "robot.xml", fidelity=Fidelity(level))
         lay(spec, Terrain(Kind(config.terrain), seed=config.seed))
         return with_latency_room(spec)
     except ModelError as error:
@@ -151,25 +158,29 @@ def _start(config: Policy, model: Model, workers: int) -> Start:
         return candidates[0]
     say(f"{len(candidates)} starts race for {config.race_steps} control periods each")
     speeds: dict[int, float] = {}
+    trouble = ""
     places = {id(candidate): place for place, candidate in enumerate(candidates)}
     with Pool[Start, float](Race(model, config.training(), config.race_steps), workers, RACE_TIMEOUT) as pool:
         for candidate, speed, _ in progress(pool.run(candidates), len(candidates), "starts"):
-            if not isinstance(speed, Failure):
+            if isinstance(speed, Failure):
+                trouble = speed.detail
+            else:
                 speeds[places[id(candidate)]] = speed
     if not speeds:
-        raise Impossible(f"no start of {config.robot} could be tried")
+        raise Impossible(f"no start of {config.robot} could be tried: {trouble}")
     for place in sorted(speeds):
         kind = "free" if candidates[place].rhythm is None else "gait corrected"
         say(f"  {kind}, heading {candidates[place].heading:.2f} rad: {speeds[place]:.2f} m/s")
     return candidates[max(sorted(speeds), key=speeds.__getitem__)]
 
 
-def _restored(config: Policy, model: Model, workers: int, mark: Path) -> Trainer:
+def _restored(config: Policy, model: Model, source: Path, workers: int, mark: Path) -> Trainer:
     from sim.training import Trainer, start_of
 
     state = read_state(mark)
     try:
-        trainer = Trainer(model, config.training(), start_of(state), nthread=workers)
+        others = _others(config, source)
+        trainer = Trainer(model, config.training(), start_of(state), others=others, nthread=workers)
         trainer.restore(state)
     except (KeyError, ValueError) as error:
         raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None

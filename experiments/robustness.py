@@ -111,11 +111,11 @@ def _spec(folder: Path, condition: Condition) -> MjSpec:
 
     level = Fidelity(condition.level)
     if condition.full_hull:
-        from experiments.build import catalogue_of, read_design
+        from experiments.build import read_design
         from mfg.description import FULL_HULL, describe
         from mfg.pipeline import build
 
-        outcome = build(read_design(_blueprint(folder) / "design.npz"), catalogue_of("paper"))
+        outcome = build(read_design(_blueprint(folder) / "design.npz"))
         spec = make_spec(describe(outcome.blueprint, hull_vertices=FULL_HULL), fidelity=level)
         for mesh in spec.meshes:
             mesh.maxhullvert = -1  # no limit

@@ -112,14 +112,14 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
     from evo.finals import finals
     from evo.loop import ResumeError, evolve
     from evo.pool import Pool
-    from experiments.build import catalogue_of
+    from experiments.judging import judge_of
 
     rule, search = config.fitness.rule(), config.search
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(OPTIMISER,)))
     optimiser = CmaEs(LATENT_DIM, search.popsize, rng, sigma=search.sigma, start=search.start)
-    parts = catalogue_of(config.catalogue)
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     learning = config.learning.rung()
-    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), parts, learning, config.solver)
+    evaluate = Evaluate(config.seed, config.decoder, rule, config.gait.budget(), judge, learning)
     total = search.generations * search.popsize - record.count()
     if total:
         say(f"{total} evaluations to go: {search.generations} generations of {search.popsize}, {workers} workers")
@@ -130,7 +130,7 @@ def _evolve(config: Evolve, record: Record, folder: Path, workers: int) -> None:
                 pass
     except ResumeError as error:
         raise BadInput(f"{folder}: {error}") from None
-    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), parts, learning, config.solver)
+    twin = EvaluateTwin(config.seed, config.decoder, rule, config.finals.gait.budget(), judge, learning)
     with Pool[Evaluation, Evaluation](twin, workers, config.timeout) as pool:
         left = config.finals.heat - record.count("finals")
         for _ in progress(finals(record, pool, config.finals.heat), left if left > 0 else None, "finals"):
@@ -145,10 +145,10 @@ def _conclude(config: Evolve, record: Record, folder: Path) -> dict[str, Any]:
     from evo.evaluate import decode
     from evo.finals import winners
     from experiments.best import Lame, write_best
-    from experiments.build import catalogue_of
     from experiments.config import config_hash
-    from mfg.pipeline import build
+    from experiments.judging import judge_of
 
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     evaluations = record.evaluations()
     result: dict[str, Any] = {
         "kind": "evolve",
@@ -163,7 +163,7 @@ def _conclude(config: Evolve, record: Record, folder: Path) -> dict[str, Any]:
             continue  # never so: a winner walks.
         say("writing the winner's blueprint, policy, video and dry run")
         design = decode(config.decoder, champion.candidate)
-        outcome = build(design, catalogue_of(config.catalogue), config.solver)
+        outcome = judge.build(design)
         best = write_best(
             folder / BEST, outcome, champion.walk.gait, config_hash(config), config.film, must_walk=True
         )  # fmt: skip
@@ -190,14 +190,15 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
     import numpy as np
 
     from experiments.best import Lame, write_best
-    from experiments.build import catalogue_of, read_design
+    from experiments.build import read_design
     from experiments.config import config_hash
+    from experiments.judging import judge_of, tell_round
     from mfg.description import describe
-    from mfg.pipeline import build
     from sim.gaits import search_gait
     from sim.rollout import Diverged
 
     design = read_design(Path(config.design))
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     make_folder(folder)
     with locked(folder):
         check_folder(config, folder)
@@ -209,7 +210,7 @@ def run_sketch(config: Sketch, folder: Path, resume: bool) -> dict[str, Any]:
                 raise BadInput(f"{config.design} has changed since {folder} was made of it; choose another --out")
             return result
         keep_config(config, folder)
-        outcome = build(design, catalogue_of(config.catalogue), config.solver)
+        outcome = judge.build(design, tell_round)
         result = {"kind": "sketch", "out": str(folder), **outcome.to_json(str(folder)), "winner": None}
         trouble = None if outcome.failure is None else f"cannot be built: {outcome.failure}"
         if outcome.ok:

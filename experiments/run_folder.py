@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from evo.record import Record
     from experiments.config import Config, Evolve, Study
-    from mfg.pipeline import Rules
 
 CONFIG, CHECKPOINT, REPORT = "config.toml", "checkpoint", "report.html"
 RESULT, STUDY_RESULT = "result.json", "study.json"
@@ -136,7 +135,7 @@ def opened(config: Evolve | Study, path: Path, popsize: int, resume: bool) -> It
         meta = {
             "config": to_toml(config), "config_hash": config_hash(config), "seed": str(config.seed),
             "popsize": str(popsize), "decoder": config.decoder, "versions": json.dumps(versions()),
-            "ingredients": json.dumps(ingredients(config.decoder, config.catalogue, config.solver)),
+            "ingredients": json.dumps(ingredients(config)),
         }  # fmt: skip
         keep_config(config, folder)  # not before the ingredients: a decoder without weights leaves nothing behind.
         Record.create(path, popsize, meta).close()
@@ -150,10 +149,7 @@ def _check_past(path: Path, config: Evolve | Study) -> None:
 
     with Record(path, 1) as record:
         meta = record.meta()
-    before, now = (
-        json.loads(meta.get("ingredients", "{}")),
-        ingredients(config.decoder, config.catalogue, config.solver),
-    )
+    before, now = json.loads(meta.get("ingredients", "{}")), ingredients(config)
     other = [name for name in now if before.get(name) != now[name]]
     if other:
         raise BadInput(
@@ -166,15 +162,19 @@ def _check_past(path: Path, config: Evolve | Study) -> None:
         say(f"note: {'; '.join(other)}: the rest of this run may differ from what it would have been")
 
 
-def ingredients(decoder: str, catalogue: str, solver: Rules) -> dict[str, str]:
+def ingredients(config: Evolve | Study) -> dict[str, str]:
     """Digests of the numbers that results follow from but no configuration names, so that none changes within a run."""
     from decoder.latent import decoder_digest, make_decoder
-    from experiments.build import catalogue_of
+    from experiments.judging import judge_of
     from mfg.pipeline import RULES
 
-    parts = {"set of solvers": RULES[solver], "catalogue of components": catalogue_of(catalogue)}
+    judge = judge_of(config.solver, config.catalogue, config.parts)
+    parts = {
+        "set of solvers": RULES[judge.rules],
+        "catalogue of components": judge.catalogue if judge.library is None else (judge.catalogue, judge.library),
+    }
     digests = {name: hashlib.sha256(repr(part).encode()).hexdigest()[:16] for name, part in parts.items()}
-    return {"decoder": decoder_digest(make_decoder(decoder)), **digests}
+    return {"decoder": decoder_digest(make_decoder(config.decoder)), **digests}
 
 
 def versions() -> dict[str, str]:

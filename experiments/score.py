@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.build import add_pipeline_options, catalogue_of, read_design
+from experiments.build import read_design
+from experiments.judging import add_pipeline_options, judge_of, tell_round
 from experiments.output import DONE, INFEASIBLE, emit, say
 
 if TYPE_CHECKING:
@@ -26,13 +27,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Score designs in the order given; status 1 if any of them cannot be built."""
-    from mfg.pipeline import score
-
-    parts = catalogue_of(args.catalogue)
+    judge = judge_of(args.solver, args.catalogue, args.parts)
     width = max(len(str(path)) for path in args.designs)
     verdicts: list[dict[str, Any]] = []
     for path in args.designs:
-        outcome = score(read_design(path), parts, args.solver)
+        outcome = judge.score(read_design(path), tell_round)
         verdicts.append({"file": str(path), **outcome.to_json(None)})
         if not args.json:
             print(f"{path!s:{width}}  {_line(outcome)}")

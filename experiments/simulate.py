@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.build import add_pipeline_options, catalogue_of, read_design
+from experiments.build import read_design
+from experiments.judging import add_pipeline_options, judge_of, tell_round
 from experiments.output import DONE, INFEASIBLE, BadInput, emit, say, seed
 
 if TYPE_CHECKING:
@@ -127,8 +128,10 @@ def _model(args: argparse.Namespace, level: str) -> Model | None:
     from mfg.description import FULL_HULL, HULL_VERTICES, describe
 
     design = read_design(path)
-    parts = catalogue_of(args.catalogue)
-    outcome = pipeline.virtual(design, parts) if virtual else pipeline.score(design, parts, args.solver)
+    judge = judge_of(args.solver, args.catalogue, args.parts)
+    if virtual and judge.library is not None:
+        raise BadInput("--virtual has no hardware in it, so there are no parts to choose; leave --catalogue auto out")
+    outcome = pipeline.virtual(design) if virtual else judge.score(design, tell_round)
     if not outcome.ok:
         hint = "" if virtual else "; --virtual simulates it all the same"
         say(f"bodyplan: {path} cannot be built: {outcome.failure}{hint}")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import functools
 import shlex
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.build import add_pipeline_options
+from experiments.judging import add_pipeline_options, judge_of
 from experiments.output import (
     DONE,
     INTERRUPTED,
@@ -34,18 +35,18 @@ from experiments.run_folder import (
     worker_count,
     write_json,
 )
+from experiments.study_result import rates, result_of, summary
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from analysis.lda import FailureLda
-    from analysis.passthrough import PassThrough
     from decoder.latent import Decoder
     from evo.evaluation import Candidate, Evaluation
+    from evo.judge import Judge
     from evo.record import Record
     from experiments.config import Study
-    from mfg.pipeline import Outcome, Rules
+    from mfg.pipeline import Outcome
 
 HELP = "pass-through table, score histogram and failure map of random bodies"
 
@@ -58,44 +59,56 @@ PASSED_SHOWN, FAILED_SHOWN = 8, 4  # examples on the sheet: of designs that can 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Decode and score one candidate; the answer depends on these fields and the candidate alone."""
+    """Decode and score one candidate; the answer depends on these fields and the candidate alone.
+
+    Attributes:
+        decoder: for `decoder.latent.make_decoder`.
+        judge: says whether a body can be built.
+        repair: whether bodies that cannot be built are changed until they can.
+    """
 
     decoder: str
-    catalogue: str
-    solver: Rules = "paper"
+    judge: Judge
+    repair: bool = False
 
     def __call__(self, candidate: Candidate) -> Evaluation:
         """Verdict and scores without exact solids."""
         from evo.evaluation import Evaluation
 
         outcome = self.outcome(candidate)
+        mended = self._repaired(candidate, outcome) if self.repair and not outcome.ok else None
         return Evaluation(
-            candidate, outcome.design.key, outcome.scores, outcome.failure, stages=dict(outcome.seconds)
+            candidate, outcome.design.key, outcome.scores, outcome.failure, stages=dict(outcome.seconds),
+            repaired=mended,
         )  # fmt: skip
 
     def outcome(self, candidate: Candidate) -> Outcome:
         """All that the solvers say."""
-        from experiments.build import catalogue_of
-        from mfg.pipeline import score
+        return self.judge.score(decoder_of(self.decoder).decode(candidate.latent[None])[0])
 
-        return score(
-            _decoder(self.decoder).decode(candidate.latent[None])[0], catalogue_of(self.catalogue), self.solver
-        )
+    def _repaired(self, candidate: Candidate, outcome: Outcome) -> Evaluation:
+        from evo.evaluation import Evaluation
+        from mfg.repair import repaired
+
+        start = time.perf_counter()
+        found = repaired(outcome, self.judge.score)
+        return Evaluation(
+            candidate, found.outcome.design.key, found.outcome.scores, found.outcome.failure,
+            stages={"repair": time.perf_counter() - start}, changes=tuple(map(str, found.changes)),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Draw:
     """Draw one candidate as far as the solvers got with it."""
 
-    decoder: str
-    catalogue: str
-    solver: Rules = "paper"
+    score: Score
 
     def __call__(self, candidate: Candidate) -> NDArray[np.uint8]:
         """A picture of its blueprint, or of the design where not even a skeleton came of it."""
         from mfg.picture import picture_of_blueprint, picture_of_design
 
-        outcome = Score(self.decoder, self.catalogue, self.solver).outcome(candidate)
+        outcome = self.score.outcome(candidate)
         if not outcome.blueprint.bodies:
             return picture_of_design(outcome.design, PICTURE)
         return picture_of_blueprint(outcome.blueprint, PICTURE)
@@ -109,6 +122,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_decoder_option(parser)
     parser.add_argument("--prior", choices=PRIORS, default="normal", help="law of the latents (normal)")
     add_pipeline_options(parser)
+    parser.add_argument(
+        "--repair",
+        action="store_true",
+        help="change bodies that cannot be built as little as helps, and count these apart",
+    )
     parser.add_argument("--workers", type=worker_count, help="processes; 0 works in this one (one per core)")
     parser.add_argument("--resume", action="store_true", help="go on with the study in DIR if there is one")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
@@ -118,7 +136,11 @@ def main(args: argparse.Namespace) -> int:
     """Run a study from the command line; status 3 if it was interrupted."""
     from experiments.config import Study
 
-    config = Study("study", args.n, args.seed, args.decoder, args.prior, args.solver, args.catalogue)
+    judge_of(args.solver, args.catalogue, args.parts)  # parts that cannot be read leave nothing behind.
+    parts = None if args.parts is None else str(args.parts.resolve())
+    config = Study(
+        "study", args.n, args.seed, args.decoder, args.prior, args.solver, args.catalogue, parts, args.repair
+    )  # fmt: skip
     try:
         with terminable():
             return run_study(config, args.out, args)
@@ -128,6 +150,10 @@ def main(args: argparse.Namespace) -> int:
             f"--seed {args.seed}",
             f"--decoder {shlex.quote(args.decoder)}",
             f"--prior {args.prior}",
+            *([f"--solver {args.solver}"] if args.solver != "paper" else []),
+            *([f"--catalogue {args.catalogue}"] if args.catalogue != "paper" else []),
+            *([f"--parts {shlex.quote(parts)}"] if parts is not None else []),
+            *(["--repair"] if args.repair else []),
         ]
         say(f"\nbodyplan: interrupted; everything that was finished is saved. Go on with: bodyplan study "
             f"{' '.join(words)} --out {args.out} --resume")  # fmt: skip
@@ -155,7 +181,7 @@ def run_study(config: Study, folder: Path, args: argparse.Namespace) -> int:
     if args.json:
         emit(result)
     else:
-        print(_summary(result, folder))
+        print(summary(result, TABLE, folder / REPORT))
     return DONE
 
 
@@ -175,7 +201,7 @@ def _score_all(config: Study, record: Record, workers: int) -> None:
     if not missing:
         return
     say(f"{len(missing)} bodies to go, {workers} workers")
-    with Pool[Candidate, Evaluation](Score(config.decoder, config.catalogue, config.solver), workers, TIMEOUT) as pool:
+    with Pool[Candidate, Evaluation](_score(config), workers, TIMEOUT) as pool:
         for candidate, answer, seconds in progress(pool.run(missing), len(missing), "scoring"):
             evaluation = Evaluation(candidate, failure=answer) if isinstance(answer, Failure) else answer
             record.add(evaluation, seconds)
@@ -187,13 +213,15 @@ def _analyse(config: Study, record: Record, folder: Path, workers: int) -> dict[
     from analysis.folder import read_folder
     from analysis.passthrough import PASSED, pass_through
     from analysis.population import failure_map
-    from analysis.records import write_csv
+    from analysis.records import with_repairs, write_csv
     from analysis.report import write_report
 
     run = read_folder(folder)
     counts, lda = pass_through(run.records["outcome"]), failure_map(run)
-    write_csv(run.records, folder / TABLE)
-    (folder / RATES).write_text(_rates(counts), encoding="utf-8")
+    table = with_repairs(run.records, folder / RECORD) if config.repair else run.records
+    mended = pass_through(table["repaired"]) if config.repair else None
+    write_csv(table, folder / TABLE)
+    (folder / RATES).write_text(rates(counts, mended), encoding="utf-8")
     ok = run.records["outcome"] == PASSED
     figures = {
         "pass_through.png": plots.pass_through_bars(counts),
@@ -204,28 +232,10 @@ def _analyse(config: Study, record: Record, folder: Path, workers: int) -> dict[
         if png is not None:
             (folder / name).write_bytes(png)
     _draw_examples(config, record.evaluations(), folder / SHEET, workers)
-    result = _result(config, counts, lda, round(record.seconds(), 1))
+    result = result_of(config, counts, mended, lda, round(record.seconds(), 1))
     write_json(folder / RESULT, result)
     write_report(folder, lda)
     return result
-
-
-def _result(config: Study, counts: PassThrough, lda: FailureLda, seconds: float) -> dict[str, Any]:
-    """The object in study.json."""
-    return {
-        "n": counts.n,
-        "seed": config.seed,
-        "decoder": config.decoder,
-        "prior": config.prior,
-        "solver": config.solver,
-        "catalogue": config.catalogue,
-        "counts": counts.counts,
-        "remaining": {row.stage: row.remaining for row in counts.rows()},
-        "pass_rate": counts.rate,
-        "pass_rate_95": list(counts.interval),
-        "lda": lda.to_json(),
-        "seconds": seconds,
-    }
 
 
 def _draw_examples(config: Study, evaluations: list[Evaluation], path: Path, workers: int) -> None:
@@ -238,9 +248,7 @@ def _draw_examples(config: Study, evaluations: list[Evaluation], path: Path, wor
 
     shown = _examples(evaluations)
     images: dict[int, NDArray[np.uint8]] = {}
-    with Pool[Candidate, "NDArray[np.uint8]"](
-        Draw(config.decoder, config.catalogue, config.solver), workers, TIMEOUT
-    ) as pool:
+    with Pool[Candidate, "NDArray[np.uint8]"](Draw(_score(config)), workers, TIMEOUT) as pool:
         drawn = pool.run([evaluation.candidate for evaluation in shown])
         for candidate, image, _ in progress(drawn, len(shown), "drawing"):
             if not isinstance(image, Failure):
@@ -272,29 +280,8 @@ def _label(evaluation: Evaluation) -> str:
     return f"{name}  {evaluation.failure.stage}: {evaluation.failure.reason}"
 
 
-def _rates(counts: PassThrough) -> str:
-    lines = ["stage,reached,failed,remaining"]
-    for row in counts.rows():
-        lines.append(
-            f"{row.stage},{row.reached},{row.failed},{'' if row.remaining is None else f'{row.remaining:.6f}'}"
-        )
-    rate = "" if counts.rate is None else f"{counts.rate:.6f}"
-    return "\n".join([*lines, f"all,{counts.n},{counts.n - counts.passed},{rate}"]) + "\n"
-
-
-def _summary(result: dict[str, Any], folder: Path) -> str:
-    low, high = result["pass_rate_95"]
-    lines = [f"{result['counts']['passed']} of {result['n']} bodies can be built: {100 * result['pass_rate']:.1f} % "
-             f"(95 %: {100 * low:.1f} to {100 * high:.1f} %)"]  # fmt: skip
-    for stage, remaining in result["remaining"].items():
-        if stage != "worker" or result["counts"][stage]:
-            share = "none got here" if remaining is None else f"{100 * remaining:6.2f} % remain"
-            lines.append(f"  {stage:12} {result['counts'][stage]:5} failed   {share}")
-    lda = result["lda"]
-    if lda["balanced_accuracy"] is not None:
-        lines.append(f"latents tell the class of {100 * lda['balanced_accuracy']:.0f} % of failures not seen before "
-                     f"(guessing {100 * lda['chance']:.0f} %, p = {lda['permutation_p']:.3g})")  # fmt: skip
-    return "\n".join([*lines, f"read {folder / REPORT}"])
+def _score(config: Study) -> Score:
+    return Score(config.decoder, judge_of(config.solver, config.catalogue, config.parts), config.repair)
 
 
 def _latents(config: Study) -> NDArray[np.float32]:
@@ -306,7 +293,7 @@ def _latents(config: Study) -> NDArray[np.float32]:
 
 
 @functools.cache
-def _decoder(name: str) -> Decoder:
+def decoder_of(name: str) -> Decoder:
     """Each process makes a decoder once."""
     from decoder.latent import make_decoder
 

@@ -67,7 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Train; status 1 if the robot cannot be built or lives in no simulator, 3 if it was interrupted."""
-    from experiments.config import checked
+    from experiments.toml_document import checked
 
     asked = {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
     if args.no_randomise:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mfg.blueprint import Blueprint
+from mfg.joining import join_way
 from mfg.masses import wire_stretches
-from mfg.ways import TOOLS, Leg, Scene, Way, box_way, join_way, lid_way, motor_way, tool_room
+from mfg.ways import TOOLS, Leg, Scene, Way, box_way, lid_way, motor_way, tool_room
 
 Kind = Literal["place", "cable", "motor", "body_screws", "join", "output_screws", "box", "lid"]
 

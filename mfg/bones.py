@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body
 from mfg.fields import Field, cylinder_depth, cylindrical
+from mfg.miss import Miss
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.voxel_fields import between_centres, bone_field, halved, opened_min
@@ -61,7 +62,9 @@ class BoneSolver:
                     Reason.BONE_SEVERED,
                     f"the motor cylinders cut {100 * lost:.0f} % off segment {segment}, at most "
                     f"{100 * self.max_loss:.0f} % may go",
-                )
+                    Miss("share of a bone that is kept", "1", 1 - lost, 1 - self.max_loss,
+                         tuple(k for k, h in enumerate(blueprint.hinges) if index in (h.parent, h.body)), (index,)),
+                )  # fmt: skip
             bodies.append(Body(f"body_{index}", segment, kept))
         return replace(blueprint, bodies=tuple(bodies))
 

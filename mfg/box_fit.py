@@ -129,8 +129,21 @@ def separation(half_a: Array, centre_a: Array, turn_a: Array, half_b: Array, cen
 
     All arguments broadcast: half, centre (..., 3), turn (..., 3, 3).
     """
-    between = centre_b - centre_a
-    alike = np.abs(np.swapaxes(turn_a, -1, -2) @ turn_b)
-    along_a = np.abs((between[..., None, :] @ turn_a)[..., 0, :]) - half_a - (alike @ half_b[..., None])[..., 0]
-    along_b = np.abs((between[..., None, :] @ turn_b)[..., 0, :]) - half_b - (half_a[..., None, :] @ alike)[..., 0, :]
-    return np.maximum(along_a.max(axis=-1), along_b.max(axis=-1))
+    # Component by component: numpy multiplies many small matrices slowly.
+    between = np.moveaxis(centre_b - centre_a, -1, 0)
+    a, b = np.moveaxis(turn_a, (-2, -1), (0, 1)), np.moveaxis(turn_b, (-2, -1), (0, 1))
+    half_a, half_b = np.moveaxis(half_a, -1, 0), np.moveaxis(half_b, -1, 0)
+    found: Array = np.array(-np.inf)
+    beyond_b: list[Array] = [-half_b[j] for j in range(3)]
+    for i in range(3):
+        beyond = -half_a[i]
+        for j in range(3):
+            alike = np.abs(a[0, i] * b[0, j] + a[1, i] * b[1, j] + a[2, i] * b[2, j])
+            beyond = beyond - alike * half_b[j]
+            beyond_b[j] = beyond_b[j] - alike * half_a[i]
+        along = np.abs(between[0] * a[0, i] + between[1] * a[1, i] + between[2] * a[2, i]) + beyond
+        found = np.maximum(found, along)
+    for j in range(3):
+        along = np.abs(between[0] * b[0, j] + between[1] * b[1, j] + between[2] * b[2, j]) + beyond_b[j]
+        found = np.maximum(found, along)
+    return np.asarray(found, np.float64)

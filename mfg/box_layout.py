@@ -50,23 +50,30 @@ class Layout:
         return self.only(order[np.sort(first)[:count]])
 
 
-def layouts_of(places: tuple[Places, ...], wall: float) -> Layout:
-    """All layouts of one box, or of two: of every place of the first with every place of the second."""
+def layouts_of(places: tuple[Places, ...], wall: float, least: float = -np.inf) -> Layout:
+    """The layouts of one box, or of every place of one with every place of another, with a margin of `least` or more.
+
+    Args:
+        places: of every box.
+        wall: between two boxes [m].
+        least: margin [m].
+    """
     if len(places) == 1:
         one = places[0]
-        place = np.arange(len(one))[:, None]
-        return Layout(one.half[None], one.centre[:, None], one.turn[:, None], one.margin, place)
+        place = np.flatnonzero(one.margin >= least)
+        return Layout(one.half[None], one.centre[place, None], one.turn[place, None], one.margin[place], place[:, None])
     first, second = places
-    gap = separation(
-        first.half, first.centre[:, None], first.turn[:, None], second.half, second.centre[None], second.turn[None]
-    )
-    margin = np.minimum(np.minimum(first.margin[:, None], second.margin[None]), gap - wall)
-    a, b = np.indices(margin.shape).reshape(2, -1)
+    margin = np.minimum(first.margin[:, None], second.margin[None])
+    a, b = np.nonzero(margin >= least)
+    gap = separation(first.half, first.centre[a], first.turn[a], second.half, second.centre[b], second.turn[b])
+    margin = np.minimum(margin[a, b], gap - wall)
+    keep = np.flatnonzero(margin >= least)
+    a, b = a[keep], b[keep]
     return Layout(
         np.stack([first.half, second.half]),
         np.stack([first.centre[a], second.centre[b]], axis=1),
         np.stack([first.turn[a], second.turn[b]], axis=1),
-        margin.reshape(-1),
+        margin[keep],
         np.stack([a, b], axis=1),
     )
 
@@ -108,8 +115,7 @@ def refined(depth: Field, layout: Layout, wall: float, look: Look) -> Layout:
     """
     half, centre, turn = layout.half, layout.centre.copy(), layout.turn.copy()
     steps = np.array(look.steps)
-    rooms = _rooms(depth, half, centre, turn, look)
-    margin, value = _judged(rooms, half, centre, turn, wall, look)
+    margin, value, slope = _judged(depth, half, centre, turn, wall, look)
     best = Layout(
         half, centre.copy(), turn.copy(), margin.copy(), np.arange(centre[..., 0].size).reshape(-1, len(half))
     )
@@ -118,66 +124,65 @@ def refined(depth: Field, layout: Layout, wall: float, look: Look) -> Layout:
         busy = np.flatnonzero((level < len(steps)) & (margin < ENOUGH))
         if not len(busy):
             break
-        slope = _slope(depth, [r[busy] for r in rooms], half, centre[busy], turn[busy], value[busy], wall, look)
-        length = np.maximum(np.linalg.norm(slope, axis=(1, 2), keepdims=True), 1e-12)
-        moved = _moved(half, centre[busy], turn[busy], slope / length * steps[level[busy]][:, None, None])
-        tried = _rooms(depth, half, *moved, look)
-        least, worth = _judged(tried, half, *moved, wall, look)
+        length = np.maximum(np.linalg.norm(slope[busy], axis=(1, 2), keepdims=True), 1e-12)
+        moved = _moved(half, centre[busy], turn[busy], slope[busy] / length * steps[level[busy]][:, None, None])
+        least, worth, onward = _judged(depth, half, *moved, wall, look)
         gains = worth > value[busy] + 1e-6
         level[busy[~gains]] += 1
         rows = busy[gains]
-        centre[rows], turn[rows], margin[rows], value[rows] = (
-            moved[0][gains],
-            moved[1][gains],
-            least[gains],
-            worth[gains],
-        )
-        for room, new in zip(rooms, tried, strict=True):
-            room[rows] = new[gains]
+        centre[rows], turn[rows] = moved[0][gains], moved[1][gains]
+        margin[rows], value[rows], slope[rows] = least[gains], worth[gains], onward[gains]
         rows = rows[margin[rows] > best.margin[rows]]
         best.centre[rows], best.turn[rows], best.margin[rows] = centre[rows], turn[rows], margin[rows]
     return best
 
 
-def _rooms(depth: Field, half: Array, centre: Array, turn: Array, look: Look) -> list[NDArray[np.float32]]:
-    """Depth all over the surface of every box in n layouts, (n, m) each [m]."""
-    return [_depths(depth, half[b], centre[:, b], turn[:, b], look) for b in range(len(half))]
-
-
-def _depths(depth: Field, half: Array, centre: Array, turn: Array, look: Look) -> NDArray[np.float32]:
-    return depth.sample(centre[:, None] + box_surface(half, look.sample) @ np.swapaxes(turn, 1, 2))
-
-
 def _judged(
-    rooms: list[NDArray[np.float32]], half: Array, centre: Array, turn: Array, wall: float, look: Look
-) -> tuple[Array, Array]:
-    """Margin of every layout, and its smooth stand-in, which every shallow point pulls down a little [m]."""
-    if len(half) == 2:
+    depth: Field, half: Array, centre: Array, turn: Array, wall: float, look: Look
+) -> tuple[Array, Array, Array]:
+    """Margin of every layout, its smooth stand-in, and the slope of that for each of the 6 moves of every box.
+
+    The stand-in is v = -s log(sum exp(-r / s)) over what there is beyond the wall at every point of the surfaces and
+    between the boxes, r, at softness s: every shallow point pulls it down a little. So dv = sum w dr with
+    w = exp((v - r) / s), and a shift d or a turn t of a box changes the depth at its point p, seen from its middle, by
+    g d + (p x g) t where g is the slope of the depth.
+
+    Returns:
+        Margin and stand-in [m], (n,) each, and the slope, (n, k, 6).
+    """
+    n, k = centre.shape[:2]
+    arms = [box_surface(half[b], look.sample) @ np.swapaxes(turn[:, b], 1, 2) for b in range(k)]
+    depths, slopes = zip(*(depth.sloped(centre[:, b, None] + arms[b]) for b in range(k)), strict=True)
+    rooms = list(depths)
+    if k == 2:
         gap = separation(half[0], centre[:, 0], turn[:, 0], half[1], centre[:, 1], turn[:, 1])
-        rooms = [*rooms, gap[:, None].astype(np.float32)]
+        rooms.append(gap[:, None].astype(np.float32))
     room = np.concatenate(rooms, axis=1) - np.float32(wall)
     margin, soft = room.min(axis=1), np.float32(look.soft)
-    value = margin - soft * np.log(np.exp((margin[:, None] - room) / soft).sum(axis=1))
-    return margin.astype(np.float64), value.astype(np.float64)
-
-
-def _slope(
-    depth: Field, rooms: list[NDArray[np.float32]], half: Array, centre: Array, turn: Array, value: Array, wall: float,
-    look: Look,
-) -> Array:  # fmt: skip
-    """Gain of the stand-in per length of each of the 6 moves of every box, (n, k, 6)."""
-    n, k = centre.shape[:2]
+    weight = np.exp((margin[:, None] - room) / soft)
+    total = weight.sum(axis=1)
+    value = margin - soft * np.log(total)
+    weight /= total[:, None]
     slope = np.zeros((n, k, 6))
+    first = 0
     for b in range(k):
-        move = np.zeros((n, 6, k, 6))
-        move[:, range(6), b, range(6)] = PROBE
-        c, t = _moved(half, np.repeat(centre, 6, axis=0), np.repeat(turn, 6, axis=0), move.reshape(-1, k, 6))
-        probed = [
-            _depths(depth, half[b], c[:, b], t[:, b], look) if other == b else np.repeat(rooms[other], 6, axis=0)
-            for other in range(k)
-        ]
-        slope[:, b] = (_judged(probed, half, c, t, wall, look)[1].reshape(n, 6) - value[:, None]) / PROBE
-    return slope
+        pull = slopes[b] * weight[:, first : first + arms[b].shape[1], None]
+        first += arms[b].shape[1]
+        slope[:, b, :3] = pull.sum(axis=1)
+        moment = np.swapaxes(arms[b], 1, 2) @ pull  # its antisymmetric part is the sum of p x g
+        across = moment[:, (1, 2, 0), (2, 0, 1)] - moment[:, (2, 0, 1), (1, 2, 0)]
+        slope[:, b, 3:] = across / np.linalg.norm(half[b])
+    if k == 2:
+        slope += weight[:, -1, None, None] * _parting(half, centre, turn, gap)
+    return margin.astype(np.float64), value.astype(np.float64), slope
+
+
+def _parting(half: Array, centre: Array, turn: Array, gap: Array) -> Array:
+    """Gain of the gap between two boxes per length of each of the 6 moves of either, (n, 2, 6)."""
+    move = (np.eye(12) * PROBE).reshape(12, 2, 6)
+    c, t = _moved(half, centre[:, None], turn[:, None], move)
+    wide = separation(half[0], c[..., 0, :], t[..., 0, :, :], half[1], c[..., 1, :], t[..., 1, :, :])
+    return ((wide - gap[:, None]) / PROBE).reshape(-1, 2, 6)
 
 
 def _moved(half: Array, centre: Array, turn: Array, move: Array) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,28 +10,10 @@ from numpy.typing import NDArray
 from mfg.box_fit import SURFACE, box_surface, separation
 from mfg.box_layout import Layout
 from mfg.electronics import KINDS, Host, Kind
+from mfg.miss import Miss
 
 Array = NDArray[np.float64]
 NEAR = 1.0e-3  # points of a cavity this close to the shallowest one count as short too [m]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Miss:
-    """What keeps the most roomy placement from being accepted.
-
-    Attributes:
-        what: "battery", "controller" or "both".
-        body: index of the bone that is nearest to taking it.
-        shortfall: by how much the cavity is too shallow on either side [m]; 0 where it fits and no way in is free.
-        direction: unit vector in the design frame along which the bone must grow, or the way in become free, (3,).
-        detail: one sentence for people.
-    """
-
-    what: str
-    body: int
-    shortfall: float
-    direction: Array
-    detail: str
 
 
 def miss_of(host: Host, kinds: tuple[Kind, ...], found: Layout, half: Array, wall: float) -> Miss:
@@ -42,9 +23,10 @@ def miss_of(host: Host, kinds: tuple[Kind, ...], found: Layout, half: Array, wal
     segment, pitch = host.blueprint.bodies[host.index].segment, host.blueprint.design.pitch
     if len(found) and found.margin[0] >= 0:
         text = f"{said} would fit {host.name}, but no way in is free: grow segment {segment} away from motors and bones"
-        return Miss(what, host.index, 0.0, found.turn[0, 0][:, 0], text)
+        way = _vector(found.turn[0, 0][:, 0])
+        return Miss(f"way in of {what}", "m", 0.0, 0.0, (), (host.index,), 0.0, way, "clear_way", text)
     if len(found):
-        short = -float(found.margin[0])
+        short, need = -float(found.margin[0]), wall
         direction, side = _lacking(host, found, wall)
         text = f"{said} {1e3 * short:.1f} mm short in {host.name} along {side}"
     else:
@@ -54,7 +36,15 @@ def miss_of(host: Host, kinds: tuple[Kind, ...], found: Layout, half: Array, wal
     voxels = max(1, math.ceil(2 * short / pitch - 1e-6))
     plural, axis = "" if voxels == 1 else "s", "xyz"[int(np.abs(direction).argmax())]
     mend = f"grow segment {segment} by {voxels} voxel{plural} across its {axis}"
-    return Miss(what, host.index, short, direction, f"{text}: {mend}")
+    return Miss(
+        f"depth of {what} in its bone", "m", need - short, need, (), (host.index,), short, _vector(direction),
+        "grow_body", f"{text}: {mend}",
+    )  # fmt: skip
+
+
+def _vector(direction: Array) -> tuple[float, float, float]:
+    x, y, z = direction.tolist()
+    return x, y, z
 
 
 def _lacking(host: Host, found: Layout, wall: float) -> tuple[Array, str]:

@@ -1,6 +1,6 @@
 """Component types: what a robot is made of, in SI units.
 
-The paper's components are in `mfg.parts`, those to choose from in `mfg/components/*.toml` (see `mfg.component_file`).
+The paper's components are in `mfg.parts`, those to choose from in `mfg/components/*.toml` (see `mfg.library`).
 A field with a default came later; a manifest leaves it out where it is at its default, so that older ones still hold.
 """
 

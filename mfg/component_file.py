@@ -1,4 +1,4 @@
-"""Parts in TOML files: the shipped ones and a user's own, checked field by field.
+"""One part in a TOML file, checked field by field.
 
 A file holds one part: `kind` (one of `KINDS`), the fields of its type in `mfg.catalogue` in SI units, if wanted
 `mesh = "file.stl"` beside it for its looks, and a table `[sources]` from a source (or "assumed: why") to the numbers
@@ -10,17 +10,15 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from mfg.catalogue import Battery, Computer, Device, Filament, Motor, Printer, ScrewPattern, Wire
 from mfg.component_looks import LooksError, read_looks
 
 Part = Motor | Computer | Battery | Wire | Filament | Printer | Device
-SHIPPED = Path(__file__).parent / "components"
 LONGEST_TEXT = 120  # of a name or a source [characters]
 LARGEST_FILE = 100_000  # [bytes]
 ROLES = ("rigid", "soft")
@@ -51,60 +49,6 @@ OURS = ("kind", "role", "mesh", "sources")  # what a file says beyond the fields
 
 class ComponentError(ValueError):
     """A file that is no part; the message is one line with file, field, value and what is allowed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Library:
-    """All parts there are to choose from; each kind in the order of mass, then name.
-
-    Attributes:
-        motors, controllers, batteries, wires, printers, encoders: the parts.
-        rigid, soft: filaments by role.
-    """
-
-    motors: tuple[Motor, ...] = ()
-    controllers: tuple[Computer, ...] = ()
-    batteries: tuple[Battery, ...] = ()
-    wires: tuple[Wire, ...] = ()
-    printers: tuple[Printer, ...] = ()
-    encoders: tuple[Device, ...] = ()
-    rigid: tuple[Filament, ...] = ()
-    soft: tuple[Filament, ...] = ()
-
-    def only(self, motors: Iterable[Motor]) -> Library:
-        """The same library with these motors only."""
-        return replace(self, motors=tuple(motors))
-
-
-def read_library(folder: Path | str | None = None) -> Library:
-    """The shipped parts, and a user's: one of the same kind and name takes the shipped one's place.
-
-    Args:
-        folder: with the user's TOML files, or None.
-
-    Raises:
-        ComponentError: if a file is no part, two files of the folder name the same part, or there is no such folder.
-        OSError: if a file cannot be read.
-    """
-    found = dict(_shipped())
-    if folder is not None:
-        folder = Path(folder)
-        if not folder.is_dir():
-            raise ComponentError(f"{folder}: no such folder of parts")
-        paths = sorted(folder.glob("*.toml"))
-        if not paths:
-            raise ComponentError(f"{folder}: holds no .toml file, expected one per part")
-        found |= _read_all(paths)
-    groups: dict[str, list[Part]] = {}
-    for (group, _), part in found.items():
-        groups.setdefault(group, []).append(part)
-    ordered = {group: tuple(sorted(parts, key=_order)) for group, parts in groups.items()}
-    return Library(
-        motors=_of(ordered.get("motor"), Motor), controllers=_of(ordered.get("controller"), Computer),
-        batteries=_of(ordered.get("battery"), Battery), wires=_of(ordered.get("wire"), Wire),
-        printers=_of(ordered.get("printer"), Printer), encoders=_of(ordered.get("encoder"), Device),
-        rigid=_of(ordered.get("rigid filament"), Filament), soft=_of(ordered.get("soft filament"), Filament),
-    )  # fmt: skip
 
 
 def read_part(path: Path | str) -> tuple[str, Part]:
@@ -224,7 +168,9 @@ class _Reader:
         if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
             raise self._error(label, value, f"it must be a {'whole ' if whole else ''}number")
         if not low <= value <= high:  # NaN too
-            raise self._error(label, value, f"it must lie in [{low:g}, {high:g}]")
+            milli = not whole and 1000 * low <= value <= 1000 * high
+            meant = f" in SI units (did you mean {value / 1000:g}?)" if milli else ""
+            raise self._error(label, value, f"it must lie in [{low:g}, {high:g}]{meant}")
         return value if whole else float(value)
 
     def _sources(self, table: Any, numbers: list[str]) -> str:
@@ -294,26 +240,6 @@ class _Reader:
 
 
 _HEX = set("0123456789abcdefABCDEF")
-_T = TypeVar("_T")
-
-
-@lru_cache(maxsize=1)
-def _shipped() -> Mapping[tuple[str, str], Part]:
-    return _read_all(sorted(SHIPPED.glob("*.toml")))
-
-
-def _read_all(paths: Iterable[Path]) -> dict[tuple[str, str], Part]:
-    found: dict[tuple[str, str], Part] = {}
-    files: dict[tuple[str, str], Path] = {}
-    for path in paths:
-        group, part = read_part(path)
-        key = group, part.name
-        if key in found:
-            raise ComponentError(
-                f"{path}: name is {part.name!r}, {files[key].name} holds a {group} of that name already"
-            )
-        found[key], files[key] = part, path
-    return found
 
 
 def _shown(value: Any, *, quoted: bool = False) -> str:
@@ -323,15 +249,6 @@ def _shown(value: Any, *, quoted: bool = False) -> str:
     except ValueError:
         return "a number with too many digits"  # Python does not print such
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _of(parts: Iterable[Part] | None, kind: type[_T]) -> tuple[_T, ...]:
-    return tuple(part for part in parts or () if isinstance(part, kind))
-
-
-def _order(part: Part) -> tuple[float, str]:
-    mass: Callable[[Any], float] = lambda p: float(getattr(p, "mass", getattr(p, "mass_per_metre", 0.0)))  # noqa: E731
-    return mass(part), part.name
 
 
 def _one_of(value: Any, known: Iterable[str]) -> str:

@@ -39,8 +39,7 @@ def relaxed(
     fixed = np.r_[: free.start, free.stop : len(points)]
     bend, pull = np.diff(np.eye(len(points)), n=2, axis=0), np.diff(np.eye(len(points)), axis=0)
     energy = bend.T @ bend + TENSION * pull.T @ pull
-    value, vector = np.linalg.eigh(energy[free, free])
-    steady = vector.T @ (energy[free][:, fixed] @ points[fixed])
+    steady = energy[free][:, fixed] @ points[fixed]
     low, high = points.min(axis=0) - apart - 0.01, points.max(axis=0) + apart + 0.01
     others = others[((others >= low) & (others <= high)).all(axis=1)]
     moving, carried, before = points[free], np.zeros((len(middle), 3)), 0.0
@@ -48,12 +47,12 @@ def relaxed(
         # What is carried over is a force over the weight of closeness.
         carried *= weight / before if before else 0.0
         before = weight
+        smooth = np.linalg.inv(np.eye(len(middle)) + weight * energy[free, free])
         for _ in range(rounds):
             target = moving + carried
             target += _pushed(target, others, field, apart)
             carried += moving - target
-            wanted = vector.T @ (target - carried) - weight * steady
-            moving = vector @ (wanted / (1 + weight * value)[:, None])
+            moving = smooth @ (target - carried - weight * steady)
     points[free] = moving
     return points
 
@@ -76,9 +75,8 @@ def _pushed(points: Array, others: Array, field: RouteField, apart: float) -> Ar
 
 def nearest_of(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
     """Distance from each point (n, 3) to the nearest of others (m, 3), and which one that is."""
-    squared = ((points[:, None] - others) ** 2).sum(axis=2)
-    nearest = squared.argmin(axis=1)
-    return np.sqrt(squared[np.arange(len(points)), nearest]), nearest
+    nearest = ((others**2).sum(axis=1) - 2 * points @ others.T).argmin(axis=1)
+    return np.linalg.norm(points - others[nearest], axis=1), nearest
 
 
 def _evenly(a: Array, b: Array, step: float) -> Array:

@@ -15,6 +15,7 @@ from mfg.blueprint import Blueprint, BoxSeat
 from mfg.catalogue import Size
 from mfg.fields import Field, cylinder_distance
 from mfg.insertion import Room, interference_above, mount_reach, outer_surface, shaft_height
+from mfg.miss import Miss
 from mfg.mounts import Mount, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.scores import (
@@ -91,7 +92,14 @@ class ElectronicsSolver:
             for what, found in best.items()
         )  # fmt: skip
         detail = f"no bones take the boxes with walls of {1e3 * self.wall:.0f} mm (closest: {short})"
-        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail)
+        lacking = [found for found in best.values() if not found.boxes]
+        nearest = max(lacking, key=lambda f: f.margin)
+        miss = Miss(
+            "depth of the boxes in their bones", "m", self.wall + nearest.margin, self.wall,
+            bodies=tuple(sorted({found.host.index for found in best.values()})), grow=-nearest.margin,
+            remedy="grow_body",
+        )  # fmt: skip
+        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail, miss)
 
     def _seat(self, host: Host, kinds: tuple[Kind, ...], sizes: dict[Kind, Size]) -> _Found:
         """The best accepted orientation of one or both boxes in a host, or how far the closest one is from it."""

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from mfg.blueprint import Blueprint, BoxSeat
 from mfg.box_fit import Places, box_points, places
 from mfg.box_layout import Layout, Look, joined, layouts_of, refined
-from mfg.box_miss import Miss, miss_of
+from mfg.box_miss import miss_of
 from mfg.box_paths import WAYS, Surroundings, apart, ways_out
 from mfg.catalogue import Size
 from mfg.electronics import CORNERS, KINDS, Host, Kind, scored, side_by_side
 from mfg.insertion import interference_above, outer_surface, shaft_height
+from mfg.miss import Miss
 from mfg.mounts import mount_of
 from mfg.orientations import along, orientations
 from mfg.outcome import Failure, Reason, Stage
@@ -80,7 +81,7 @@ class SearchElectronicsSolver:
             return scored(blueprint, *found)
         miss = search.miss()
         detail = f"no bones take the boxes with walls of {1e3 * self.wall:.0f} mm; closest: {miss.detail}"
-        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail)
+        return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail, miss)
 
     def closest_miss(self, blueprint: Blueprint) -> Miss | None:
         """How far the nearest placement is from being one, or None where there is one."""
@@ -161,9 +162,9 @@ class _Bone:
         rise = 2 * max(float(p.half.max()) for p in self.places.values())
         return Surroundings.of(self.host.blueprint, self.host.index, rise + self.rules.wall)
 
-    def layouts(self, kinds: tuple[Kind, ...]) -> Layout:
-        """All layouts on the lattice and in the 64 orientations."""
-        return layouts_of(tuple(self.places[kind] for kind in kinds), self.rules.wall)
+    def layouts(self, kinds: tuple[Kind, ...], least: float) -> Layout:
+        """The layouts on the lattice and in the 64 orientations with a margin of `least` or more [m]."""
+        return layouts_of(tuple(self.places[kind] for kind in kinds), self.rules.wall, least)
 
     def anchored(self, kinds: tuple[Kind, ...]) -> Layout:
         """The arrangements of the paper's rules, at the bone's centre of mass, that come near: the best few."""
@@ -184,8 +185,8 @@ class _Bone:
     def mended(self, kinds: tuple[Kind, ...]) -> Layout:
         """The most roomy layouts, shifted and turned to have more room, the best first."""
         if kinds not in self._mended:
-            rules, found = self.rules, self.layouts(kinds)
-            found = found.only(found.margin >= -rules.slack).nearest(rules.mended)
+            rules = self.rules
+            found = self.layouts(kinds, -rules.slack).nearest(rules.mended)
             found = joined(found, self.anchored(kinds))
             found = refined(self.host.free, found, rules.wall, COARSE).nearest(FINALISTS)
             if len(found) and found.margin[0] >= -HOPELESS:
@@ -196,7 +197,7 @@ class _Bone:
     def seats(self, kinds: tuple[Kind, ...]) -> tuple[BoxSeat, ...]:
         """The accepted placement of least cost, empty where there is none."""
         if kinds not in self._seats:
-            found = self.layouts(kinds)
+            found = self.layouts(kinds, -ROUNDING)
             self._seats[kinds] = self._chosen(found, kinds) or self._chosen(self.mended(kinds), kinds)
         return self._seats[kinds]
 
@@ -216,7 +217,12 @@ class _Bone:
         rules, n, k = self.rules, len(found), len(kinds)
         top, cost = np.zeros((n, k, 6)), np.zeros((n, k, 6))
         for box in range(k):
-            _, first, same = np.unique(found.place[:, box], return_index=True, return_inverse=True)
+            # Where two layouts agree in the place, they agree in the box: look along its ways once.
+            place = found.place[:, box]
+            row_of = np.full(int(place.max()) + 1, -1)
+            row_of[place[::-1]] = np.arange(n)[::-1]
+            first = row_of[row_of >= 0]
+            same = np.cumsum(row_of >= 0)[place] - 1
             half, centre = found.half[box], found.centre[first, box]
             ways = ways_out(self.around, half, centre, found.turn[first, box])
             shaft = ways.top - np.array([half[axis] for axis, _ in WAYS])

@@ -10,6 +10,8 @@ from scipy import ndimage
 
 OUTSIDE = np.float32(-1.0)  # depth far outside [m]
 Window = tuple[slice, slice, slice]
+MANY = 600  # points from which on array arithmetic is faster than ndimage's loop over points
+BLOCK = 8192  # points at a time, so that what is worked out in between stays in the cache
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,8 +60,29 @@ class Field:
 
     def sample(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth at points (..., 3) of the design frame [m], trilinear; `OUTSIDE` beyond the lattice."""
-        index = np.moveaxis((points - self.origin) / self.spacing, -1, 0)
-        return ndimage.map_coordinates(self.values, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
+        if points.size < 3 * MANY or min(self.values.shape) < 2:
+            index = np.moveaxis((points - self.origin) / self.spacing, -1, 0)
+            return ndimage.map_coordinates(
+                self.values, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE)
+            )
+        flat = points.reshape(-1, 3)
+        return np.concatenate(
+            [
+                _trilinear(self.values, (flat[k : k + BLOCK] - self.origin) / self.spacing)
+                for k in range(0, len(flat), BLOCK)
+            ]
+        ).reshape(points.shape[:-1])
+
+    def sloped(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Depth at points (..., 3) as `sample` gives it, and its slope there, (..., 3) [m/m]; 0 beyond the lattice."""
+        flat = points.reshape(-1, 3)
+        blocks = [
+            _trilinear_slope(self.values, (flat[k : k + BLOCK] - self.origin) / self.spacing)
+            for k in range(0, max(len(flat), 1), BLOCK)
+        ]
+        depth, slope = (np.concatenate(part) for part in zip(*blocks, strict=True))
+        slope /= np.float32(self.spacing)
+        return depth.reshape(points.shape[:-1]), slope.reshape(points.shape)
 
     def volume(self) -> float:
         """Volume of phi > 0 with fractional cells at the surface [m3]."""
@@ -97,6 +120,67 @@ class Field:
             windows.append((slice(low - shift, high - shift), slice(low, high)))
         (x, u), (y, v), (z, w) = windows
         return (x, y, z), (u, v, w)
+
+
+def _trilinear(values: NDArray[np.float32], index: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Values between samples at index (n, 3), `OUTSIDE` beyond; half as long as `map_coordinates` takes, to 1e-7."""
+    first, (u, v, w), outside = _cells(values, index)
+    row, layer = values.shape[2], values.shape[1] * values.shape[2]
+    flat = values.ravel()
+
+    def along(step: int) -> NDArray[np.float32]:
+        # A neighbour beyond the last sample counts for nothing: it is outside, or its weight is 0.
+        low, high = flat[step:].take(first, mode="clip"), flat[step + 1 :].take(first, mode="clip")
+        return _between(low, high, w)
+
+    found = _between(_between(along(0), along(row), v), _between(along(layer), along(layer + row), v), u)
+    found[outside] = OUTSIDE
+    return found
+
+
+def _trilinear_slope(
+    values: NDArray[np.float32], index: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The same with the slope of what is interpolated, (n, 3), per sample; 0 beyond."""
+    first, (u, v, w), outside = _cells(values, index)
+    row, layer = values.shape[2], values.shape[1] * values.shape[2]
+    flat = values.ravel()
+    faces = []
+    for face in (0, layer):
+        edges = []
+        for step in (face, face + row):
+            low, high = flat[step:].take(first, mode="clip"), flat[step + 1 :].take(first, mode="clip")
+            rise = high - low
+            edges.append((low + w * rise, rise))
+        (near, near_rise), (far, far_rise) = edges
+        across = far - near
+        faces.append((near + v * across, across, _between(near_rise, far_rise, v)))
+    (near, *near_slope), (far, *far_slope) = faces
+    slope = np.stack([far - near, *(_between(a, b, u) for a, b in zip(near_slope, far_slope, strict=True))], axis=-1)
+    found = _between(near, far, u)
+    found[outside], slope[outside] = OUTSIDE, 0
+    return found, slope
+
+
+def _cells(
+    values: NDArray[np.float32], index: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], tuple[NDArray[np.float32], ...], NDArray[np.bool_]]:
+    """For points at index (n, 3): flat index of the first corner of the cell, place in it, whether there is none."""
+    x, y, z = np.ascontiguousarray(index.T)
+    i, j, k = x.astype(np.int32), y.astype(np.int32), z.astype(np.int32)
+    share = tuple((a - b).astype(np.float32) for a, b in ((x, i), (y, j), (z, k)))
+    row, layer = values.shape[2], values.shape[1] * values.shape[2]
+    a, b, c = (n - 1 for n in values.shape)
+    outside = (x < 0) | (x > a) | (y < 0) | (y > b) | (z < 0) | (z > c)
+    return i.astype(np.intp) * layer + (j * row + k), share, outside
+
+
+def _between(low: NDArray[np.float32], high: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Interpolate, low + share (high - low), written over both."""
+    high -= low
+    high *= share
+    low += high
+    return low
 
 
 def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:

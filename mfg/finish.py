@@ -23,6 +23,7 @@ from mfg.exact import (
 from mfg.fields import Field
 from mfg.lids import Lid, lids_of
 from mfg.masses import body_masses, volume_moments
+from mfg.miss import Miss
 from mfg.motors import MotorSolver
 from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage
@@ -139,7 +140,9 @@ class FinishSolver:
                     Reason.NO_OVERLAP,
                     f"{blueprint.hinges[seat.hinge].name}: the solids share {1e6 * V_h:.1f} cm3 with the holder and "
                     f"{1e6 * V_c:.1f} cm3 with the connector, each needs {1e6 * self.min_overlap:.1f} cm3",
-                )
+                    Miss("shared volume", "m3", min(V_h, V_c), self.min_overlap, (seat.hinge,),
+                         remedy="grow_near_joint"),
+                )  # fmt: skip
             score = mount_balance(V_h, V_c, self.alpha)
             seats.append(replace(seat, holder_volume=V_h, connector_volume=V_c, score=score))
         scores = {
@@ -177,11 +180,11 @@ class FinishSolver:
                 Reason.BONE_SEVERED,
                 f"the hardware leaves {body.name} in {len(pieces)} pieces; {1e6 * lost:.1f} of {1e6 * total:.0f} cm3 "
                 f"would be lost, at most {100 * self.max_loss:.0f} % may be",
+                Miss("volume that is lost", "m3", lost, max(self.max_loss * total, self.min_piece), bodies=(index,)),
             )
         if any(piece.overlap(mounts) > self.max_touch for piece in pieces[1:]):
-            return Failure(
-                Stage.PRINT, Reason.BONE_SEVERED, f"a mount of {body.name} is not attached to the rest of it"
-            )
+            detail = f"a mount of {body.name} is not attached to the rest of it"
+            return Failure(Stage.PRINT, Reason.BONE_SEVERED, detail, Miss("bone about a mount", "m3", bodies=(index,)))
         if lost > 0:
             notes.append(f"{body.name}: dropped {len(pieces) - 1} loose piece(s) of bone, {1e6 * lost:.2f} cm3 in all")
         parts = [PrintedPart(f"{body.name}_bone", index, "rigid", pieces[0])]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mfg.addresses import MAX_BUS, can_address, turn_sign
-from mfg.blueprint import Blueprint, LidSeat, PrintedPart
+from mfg.blueprint import Blueprint, LidSeat, PrintedPart, WireRun
 from mfg.catalogue import Motor, ScrewPattern
 from mfg.description import PAPER_SKIN, DescribedJoint, Description, Link, SkinMaterial
 from mfg.lids import SCREW
@@ -66,11 +66,7 @@ def manifest(
             for box in blueprint.boxes
         ],
         **({"lids": [_lid(blueprint, lid) for lid in blueprint.lids]} if blueprint.lids else {}),
-        "wires": [
-            {"name": wire.name, "joint": blueprint.hinges[blueprint.seats[wire.seat].hinge].name,
-             "length": wire.length, "radius": wire.radius, "path": np.round(wire.path, 6).tolist()}
-            for wire in blueprint.wires
-        ],
+        "wires": [_wire(blueprint, wire) for wire in blueprint.wires],
         "parts": [_part(blueprint, part) for part in blueprint.parts],
         "robot": robot_json(description),
         "files": {path: hashlib.sha256(files[path]).hexdigest() for path in sorted(files)},
@@ -230,6 +226,20 @@ def _joint(blueprint: Blueprint, index: int) -> dict[str, Any]:
         "holder": names[seat.holder], "connector": names[seat.connector], "offset": seat.offset,
         "T_design_motor": seat.T_design_motor.tolist(), "holder_volume": seat.holder_volume,
         "connector_volume": seat.connector_volume,
+    }  # fmt: skip
+
+
+def _wire(blueprint: Blueprint, wire: WireRun) -> dict[str, Any]:
+    """A cable: its tunnel, how much more cable it is cut to, and where that is left over."""
+    return {
+        "name": wire.name, "joint": blueprint.hinges[blueprint.seats[wire.seat].hinge].name,
+        "length": wire.length, "slack": wire.slack, "cable_length": wire.cable_length, "radius": wire.radius,
+        "path": np.round(wire.path, 6).tolist(),
+        "crossings": [
+            {"joint": blueprint.hinges[c.hinge].name, "position": np.round(c.position, 6).tolist(), "span": c.span,
+             "needed": list(c.needed), "slack": c.slack}
+            for c in wire.crossings
+        ],
     }  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 from mfg.blueprint import Blueprint, Body, Hinge
 from mfg.bones import largest_piece
 from mfg.fields import OUTSIDE, Field, coverage
+from mfg.miss import Miss
 from mfg.mounts import motor_pose
 from mfg.outcome import Failure, Reason, Stage
 from mfg.voxel_fields import bounding_window
@@ -45,7 +46,7 @@ class MotionSolver:
         """Return the blueprint with narrowed `hinges` and carved bones, or a motor failure."""
         bodies, hinges = list(blueprint.bodies), []
         volumes = [body.bone.volume() for body in bodies]
-        for hinge in blueprint.hinges:
+        for index, hinge in enumerate(blueprint.hinges):
             bones = bodies[hinge.parent].bone, bodies[hinge.body].bone
             pair = CylindricalPair.sample(*bones, hinge, self.angle_step, self.radial_step)
             allowed = self.max_interference * min(volumes[hinge.parent], volumes[hinge.body])
@@ -58,6 +59,7 @@ class MotionSolver:
                     Reason.NO_MOTION,
                     f"{hinge.name} can turn {high - low:.2f} rad before {100 * self.max_interference:.0f} % of a bone "
                     f"is in the way, needs {self.min_range:.2f} rad",
+                    Miss("range of motion", "rad", high - low, self.min_range, (index,)),
                 )
             hinges.append(replace(hinge, range=np.array([low, high])))
             if pair is None:  # The two bones share no circle about the axis: nothing can ever touch.
@@ -71,6 +73,7 @@ class MotionSolver:
                     Stage.MOTOR,
                     Reason.BONE_SEVERED,
                     f"clearing the sweep of {hinge.name} cuts {100 * lost:.0f} % off {bodies[carved].name}",
+                    Miss("share of a bone that is kept", "1", 1 - lost, 1 - self.max_loss, (index,), (carved,)),
                 )
         bodies = [
             replace(

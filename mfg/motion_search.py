@@ -9,6 +9,7 @@ import numpy as np
 
 from mfg.blueprint import Blueprint, Body, Hinge
 from mfg.fields import Field
+from mfg.miss import Miss
 from mfg.motion import CylindricalPair, carve, feasible, rounded
 from mfg.outcome import Failure, Reason, Stage
 
@@ -95,6 +96,7 @@ class SearchMotionSolver:
             Reason.NO_MOTION,
             f"{hinge.name} turns {free[side]:.2f} rad before {moving} meets {standing}, needs {least[side]:.2f} rad; "
             f"clearing the way would take {100 * lost:.0f} % of {carved}; more room between the two would mend it",
+            Miss("range of motion", "rad", free[side], float(least[side]), (hinge.body - 1,), indices[:2]),
         )
 
     def _smooth(self, body: Body) -> Body:

@@ -82,7 +82,7 @@ class SearchMotorSolver:
         joints = []
         for index in range(len(blueprint.hinges)):
             joint = Candidates.of(
-                blueprint, index, scan, self.step, self.spread, self.candidates, self._plastic(catalogue, most)
+                blueprint, index, scan, self.step, self.spread, self.candidates, self.plastic(catalogue, most)
             )
             if not joint.seats:
                 return self._too_far(blueprint, joint)
@@ -94,7 +94,7 @@ class SearchMotorSolver:
         if isinstance(answer, Stuck):
             return self._stuck(blueprint, joints, answer)
         for walls in range(catalogue.rigid.walls, most):
-            thinner = [joint.of_plastic(self._plastic(catalogue, walls)) for joint in joints]
+            thinner = [joint.of_plastic(self.plastic(catalogue, walls)) for joint in joints]
             if all(j.safety(k, self.min_safety) >= self.min_safety for j, k in zip(thinner, answer, strict=True)):
                 joints, most = thinner, walls
                 break
@@ -112,7 +112,8 @@ class SearchMotorSolver:
                 whole[index] = cut or whole[index]  # Two cuts that pass alone may sever together: finish will tell.
         return with_seats(replace(blueprint, bodies=tuple(whole)), seats, self.alpha)
 
-    def _plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
+    def plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
+        """What bones with so many walls are made of, as this solver reckons with it."""
         return Plastic.of(replace(catalogue.rigid, walls=walls), catalogue.printer, self.strength)
 
     def _choice(self, blueprint: Blueprint, joints: list[Candidates], *, every: bool) -> list[int] | Stuck:
@@ -186,7 +187,7 @@ class SearchMotorSolver:
         }
         half = min(lacking, key=lambda h: lacking[h])
         body = seat.holder if half == "holder" else seat.connector
-        short = self.min_overlap - min(seat.holder_volume, seat.connector_volume)
+        shared = min(seat.holder_volume, seat.connector_volume)
         away = joint.distance(seat, half)
         name, segment = blueprint.bodies[body].name, blueprint.bodies[body].segment
         voxels = max(1, math.ceil(away / blueprint.design.pitch))
@@ -199,7 +200,7 @@ class SearchMotorSolver:
             f"needs {1e6 * self.min_overlap:.1f} cm3; {name} lacks material"
             f"{f' by {1e3 * away:.0f} mm' if away > 0 else ''}: grow segment {segment} by {_voxels(voxels)} near the "
             "joint",
-            Miss(Stage.MOTOR, joint.index, body, segment, short_volume=short, short_length=away,
+            Miss("shared volume", "m3", shared, self.min_overlap, (joint.index,), (body,), grow=max(away, 0.0),
                  remedy="grow_near_joint"),
         )  # fmt: skip
 
@@ -214,7 +215,14 @@ class SearchMotorSolver:
                 Reason.BONE_SEVERED,
                 f"{joint.hinge.name}: wherever its mount is strong enough, the way to the motor cuts more than "
                 f"{100 * self.max_loss:.0f} % off a body; grow both segments by 1 voxel near the joint",
-                Miss(Stage.MOTOR, joint.index, remedy="grow_near_joint"),
+                Miss(
+                    "share of a bone that is kept",
+                    "1",
+                    None,
+                    1 - self.max_loss,
+                    (joint.index,),
+                    remedy="grow_near_joint",
+                ),
             )
         return self._in_the_way(blueprint, joint, joints[stuck.other])
 
@@ -240,7 +248,15 @@ class SearchMotorSolver:
             reason,
             f"{names}: wherever their mounts are strong enough {how}; move the two joints apart by "
             f"{1e3 * max(need, blueprint.design.pitch):.0f} mm",
-            Miss(Stage.MOTOR, joint.index, short_length=need, remedy="move_joints_apart", other=other.index),
+            Miss(
+                "way of a tool and of a motor" if hidden > 0 else "gap between motors",
+                "m",
+                self.gap - need if reason is Reason.MOTOR_COLLISION and need > 0 else None,
+                self.gap if reason is Reason.MOTOR_COLLISION else None,
+                (joint.index, other.index),
+                grow=need,
+                remedy="move_joints_apart",
+            ),
         )
 
     def _not_weak(self, joint: Candidates) -> list[MotorSeat]:
@@ -272,8 +288,8 @@ class SearchMotorSolver:
             f"{safety:.2f} under {torque:.1f} N.m and {BENDING_SHARE * torque:.1f} N.m across, needs "
             f"{self.min_safety:.2f}; {name} is the weak side: thicken segment {segment} by {_voxels(voxels)} near the "
             "joint",
-            Miss(Stage.MOTOR, joint.index, body, segment, short_factor=1 - safety / self.min_safety,
-                 short_length=voxels * blueprint.design.pitch, remedy="thicken_near_joint"),
+            Miss("safety factor", "1", safety, self.min_safety, (joint.index,), (body,),
+                 grow=voxels * blueprint.design.pitch, remedy="thicken_near_joint"),
         )  # fmt: skip
 
 

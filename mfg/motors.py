@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Hinge, MotorSeat
 from mfg.fields import Field, coverage
+from mfg.miss import Miss
 from mfg.mounts import MIN_OVERLAP, Mount, envelope_depth, motor_pose, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.scores import body_install_score, body_overlap, motor_score, mount_balance
@@ -82,12 +83,14 @@ class MotorSolver:
                 Stage.MOTOR,
                 Reason.MOTOR_COLLISION,
                 f"{hinge.name}: every offset with enough hold runs into a motor already seated",
+                Miss("gap between motors", "m", None, self.gap, (index,), remedy="move_joints_apart"),
             )
         return Failure(
             Stage.MOTOR,
             Reason.NO_OVERLAP,
             f"{hinge.name}: the best offset shares {1e6 * nearest[0]:.1f} cm3 with the holder's body and "
             f"{1e6 * nearest[1]:.1f} cm3 with the connector's, each needs {1e6 * self.min_overlap:.1f} cm3",
+            Miss("shared volume", "m3", min(nearest), self.min_overlap, (index,), remedy="grow_near_joint"),
         )
 
     def offsets(self) -> NDArray[np.float64]:

@@ -29,6 +29,8 @@ class Reason(StrEnum):
     NO_MOTION = "no_motion"
     NO_OVERLAP = "no_overlap"
     WEAK_MOUNT = "weak_mount"
+    NO_PART = "no_part"
+    UNSETTLED = "unsettled"
     MOTOR_COLLISION = "motor_collision"
     NO_ACCESS = "no_access"
     BONE_SEVERED = "bone_severed"
@@ -50,7 +52,7 @@ class Failure:
         stage: where it failed.
         reason: why.
         detail: the closest miss in words, with numbers.
-        miss: the same for programs, where the solver says so; not shown and not compared.
+        miss: the same for programs, where a joint or a body is to blame; not shown and not compared.
     """
 
     stage: Stage

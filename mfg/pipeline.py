@@ -97,7 +97,7 @@ class Outcome:
 
     def to_json(self, out: str | None = None) -> dict[str, Any]:
         """The object that `bodyplan score` and `bodyplan build` print."""
-        failure, scores = self.failure, self.scores
+        failure, scores, parts = self.failure, self.scores, self.blueprint.catalogue
         return {
             "design": self.design.key,
             "ok": self.ok,
@@ -112,6 +112,14 @@ class Outcome:
                 "body_install": scores.body_install,
                 "total": scores.total,
             },
+            "catalogue": {
+                "name": parts.name,
+                "motor": parts.motor.name,
+                "battery": parts.battery.name,
+                "controller": parts.computer.name,
+                "wire": parts.wire.name,
+            },
+            "notes": list(self.blueprint.notes),
             "seconds": {name: round(seconds, 4) for name, seconds in self.seconds.items()},
             "out": out,
         }
@@ -123,7 +131,8 @@ def run(solvers: tuple[Solver, ...], blueprint: Blueprint) -> Outcome:
     for solver in solvers:
         start = time.perf_counter()
         answer = solver.solve(blueprint)
-        seconds[type(solver).__name__.removesuffix("Solver").lower()] = time.perf_counter() - start
+        name = type(solver).__name__.removesuffix("Solver").removeprefix("Search").lower()
+        seconds[name] = time.perf_counter() - start
         if isinstance(answer, Failure):
             return Outcome(blueprint, answer, seconds)
         blueprint = answer

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body, BoxSeat
 from mfg.fields import Field, Window, box_depth, cylindrical
+from mfg.miss import Miss
 from mfg.mounts import Mount, cup_depth, disc_depth, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
@@ -40,8 +41,10 @@ class PrintabilitySolver:
             failure = self._in_one_piece(blueprint, index, body, field)
             if failure is not None:
                 return failure
+            if self.split:
+                continue
             outline = np.concatenate([outline_points(f) for f in (field, body.skin) if f is not None])
-            if not self.split and not fits_printer(outline, printer.volume):
+            if not fits_printer(outline, printer.volume):
                 return Failure(
                     Stage.PRINT,
                     Reason.TOO_LARGE,
@@ -61,6 +64,9 @@ class PrintabilitySolver:
                 Reason.BONE_SEVERED,
                 f"the hardware leaves {body.name} in {count} pieces, the largest {1e6 * volume:.0f} cm3 "
                 f"({100 * lost:.0f} % would be lost)",
+                Miss("volume of a bone in one piece", "m3", volume, self.min_volume, bodies=(index,))
+                if volume < self.min_volume
+                else Miss("share of a bone that is kept", "1", 1 - float(lost), 1 - self.max_loss, bodies=(index,)),
             )
         main = int(np.argmax(sizes)) + 1
         mount = mount_of(blueprint.catalogue.motor)
@@ -77,6 +83,9 @@ class PrintabilitySolver:
                     Stage.PRINT,
                     Reason.BONE_SEVERED,
                     f"the mount of {blueprint.hinges[seat.hinge].name} hangs on a splinter of {body.name}",
+                    Miss(
+                        "bone about a mount", "m3", joints=(seat.hinge,), bodies=(index,), remedy="thicken_near_joint"
+                    ),
                 )
         return None
 

@@ -39,6 +39,10 @@ class Change:
     design: VoxelDesign
     size: float
 
+    def __str__(self) -> str:
+        """One line for people."""
+        return f"{self.what} ({self.size:+.0%} bone)"
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Repair:
@@ -60,18 +64,18 @@ class Repair:
         return self.outcome.ok
 
 
-def repaired(design: VoxelDesign, judge: Judge, rounds: int = ROUNDS) -> Repair:
+def repaired(start: Outcome, judge: Judge, rounds: int = ROUNDS) -> Repair:
     """Change a body until it can be built, the smallest change first.
 
     Every round takes the changes that could mend what the judge says, in order of size, and keeps the first that
     passes, or else the one that gets furthest (of several, the smallest); it ends where no change gets any further.
 
     Args:
-        design: the body.
+        start: what the judge said of the body as it is.
         judge: e.g. `mfg.pipeline.score` by some rules; the answer must depend on the design alone.
         rounds: most changes on top of each other.
     """
-    start = outcome = judge(design)
+    outcome = start
     changes: list[Change] = []
     tried = 1
     for _ in range(rounds):
@@ -119,30 +123,25 @@ def _edits(outcome: Outcome, failure: Failure) -> Iterator[tuple[str, Callable[[
         yield f"the whole body scaled by {factor:g}", lambda f=factor: scaled(design, f)  # type: ignore[misc]
     if failure.stage is Stage.SKELETON:
         yield from _skeleton_edits(design)
-    if not blueprint.bodies or failure.reason is Reason.TOO_LARGE:
+    if blueprint.tree is None or failure.miss is None or failure.reason is Reason.TOO_LARGE:
         return
+    segments, miss = blueprint.tree.segments, failure.miss
+    called = [f"segment {segment} (body_{index})" for index, segment in enumerate(segments)]
     radius = REACH * mount_of(blueprint.catalogue.motor).envelope_radius
-    for hinge in blueprint.hinges:
-        if not _names(failure, hinge.name):
-            continue
-        for index, voxels in itertools.product((hinge.parent, hinge.body), THICKER):
-            segment = blueprint.bodies[index].segment
-            what = (
-                f"segment {segment} ({blueprint.bodies[index].name}) thicker by {voxels:g} voxel(s) near {hinge.name}"
-            )
-            yield what, lambda s=segment, v=voxels, c=hinge.position: grown(design, s, v, c, radius)  # type: ignore[misc]
-        a, b = (blueprint.bodies[index].segment for index in (hinge.parent, hinge.body))
+    for hinge in (blueprint.hinges[joint] for joint in miss.joints):
+        ends, centre = (hinge.parent, hinge.body), hinge.position
+        for body, voxels in itertools.product(ends, THICKER):
+            what = f"{called[body]} thicker by {voxels:g} voxel(s) near {hinge.name}"
+            yield what, lambda s=segments[body], v=voxels, c=centre: grown(design, s, v, c, radius)  # type: ignore[misc]
+        a, b = (segments[body] for body in ends)
         for voxels in THICKER:
             yield (
                 f"segments {a} and {b} thicker by {voxels:g} voxel(s) near {hinge.name}",
-                lambda v=voxels, c=hinge.position, a=a, b=b: grown(grown(design, a, v, c, radius), b, v, c, radius),  # type: ignore[misc]
+                lambda v=voxels, c=centre, a=a, b=b: grown(grown(design, a, v, c, radius), b, v, c, radius),  # type: ignore[misc]
             )
-    named = [body for body in blueprint.bodies if _names(failure, body.name)]
-    if failure.stage is Stage.ELECTRONICS and not named:
-        named = list(blueprint.bodies)
-    for body, voxels in itertools.product(named, THICKER):
-        what = f"segment {body.segment} ({body.name}) thicker by {voxels:g} voxel(s) all over"
-        yield what, lambda s=body.segment, v=voxels: grown(design, s, v)  # type: ignore[misc]
+    for body, voxels in itertools.product(miss.bodies, THICKER):
+        what = f"{called[body]} thicker by {voxels:g} voxel(s) all over"
+        yield what, lambda s=segments[body], v=voxels: grown(design, s, v)  # type: ignore[misc]
 
 
 def _skeleton_edits(design: VoxelDesign) -> Iterator[tuple[str, Callable[[], VoxelDesign]]]:
@@ -164,12 +163,6 @@ def _parted(design: VoxelDesign, pairs: list[tuple[int, int]]) -> VoxelDesign:
     for a, b in pairs:
         design = cleft(design, a, b)
     return design
-
-
-def _names(failure: Failure, name: str) -> bool:
-    """Whether a failure speaks of a joint or body, which it calls by its name in every exported file."""
-    words = failure.detail.replace(",", " ").replace(":", " ").replace(")", " ").replace(";", " ").split()
-    return name in words
 
 
 def _size(before: VoxelDesign, after: VoxelDesign) -> float:

@@ -151,7 +151,8 @@ class RouteField:
 
 
 def _cost(depth: Depth | np.float32) -> Depth:
-    return np.asarray(1 + 60 / np.power(1e3 * np.maximum(depth, np.float32(1e-3)), np.float32(1.5)), np.float32)
+    away = 1e3 * np.maximum(depth, np.float32(1e-3))
+    return np.asarray(1 + 60 / (away * np.sqrt(away)), np.float32)
 
 
 def passed(blueprint: Blueprint) -> set[int]:

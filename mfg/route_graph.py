@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mfg.blueprint import Blueprint, BoxSeat, MotorSeat
+from mfg.fields import Field
 from mfg.mounts import Mount
 from mfg.route_field import Margins, Obstacles, RouteField
 from mfg.routing import AZIMUTHS, box_references
@@ -22,7 +23,7 @@ TURNS = (0.0, np.pi / 4, np.pi / 2)  # of the arcs that lead from a straight app
 EASE = 1.6  # radius of these arcs over the cable's least
 SLANT = 1.0  # by how much a tunnel may meet a motor's cup off square [rad]
 HEADING = 0.4  # price of a way that doubles back at the end of such an arc [m]
-DETOURS = (0.25, np.inf)  # how much more than the cheapest way with nothing taken a way may cost, tried in order [m]
+DETOURS = (0.25, 1e6)  # how much more than the cheapest way with nothing taken a way may cost, tried in order [m]
 BLUR = 5e-4  # by how much the interpolated clearance may come out too small [m]
 
 
@@ -77,6 +78,20 @@ class Way:
     end: int
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Taken:
+    """What earlier tunnels leave no room for.
+
+    Attributes:
+        cells: of the graph's samples, (n,).
+        starts, ends: of the mouths at the controller and at one motor, (m,) each.
+    """
+
+    cells: NDArray[np.bool_]
+    starts: NDArray[np.bool_]
+    ends: NDArray[np.bool_]
+
+
 class RouteGraph:
     """The samples of a route field as nodes of a graph, and the controller as one more."""
 
@@ -100,40 +115,41 @@ class RouteGraph:
         self.cost = field.cost.ravel()[self.cells].astype(np.float64)
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
-        self.rows = self._linked()
-        indptr, column, weight = self.rows
-        self.first = self._grown(weight, self.starts.node, self.starts.cost)
+        self.column, self.weight = self._linked()
+        self.first = self._grown(self.weight, self.starts.node, self.starts.cost)
         # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
-        rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
-        self.added = np.maximum(weight + rest.take(column) - np.repeat(rest, np.diff(indptr)), 1e-9)
-        self.rest = rest
+        self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
+        self.added = np.maximum(self.weight + self.rest.take(self.column) - self.rest[:, None], 1e-9)
 
-    def _linked(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
-        """Every sample with its neighbours of the same label or one joined to it, as a sparse matrix by rows."""
+    def _linked(self) -> tuple[NDArray[np.int32], Array]:
+        """Every sample's 18 neighbours and what a step to each costs, (n, 18) each.
+
+        A step to one of another label that is not joined to its own, or to none, leads back and costs infinitely much.
+        """
         shape = self.field.label.shape
         # The outermost samples have no label: no step leaves the array.
         stride = np.array([shape[1] * shape[2], shape[2], 1])
         other = self.index.take(self.cells[:, None] + STEPS @ stride)
-        linked = other >= 0
-        column = other[linked]
-        rows = np.repeat(np.arange(len(other), dtype=np.int32), linked.sum(axis=1))
-        here, there = self.label.take(rows), self.label.take(column)
-        change = np.flatnonzero(here != there)
-        keep = np.ones(len(rows), bool)
-        keep[change] = self.field.joined[here[change], there[change]]
-        length = np.broadcast_to(np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2), other.shape)
-        weight = (self.cost.take(rows) + self.cost.take(column)) * length[linked]
-        count = np.bincount(rows[keep], minlength=len(other))
-        return np.concatenate([[0], np.cumsum(count)]).astype(np.int32), column[keep], weight[keep]
+        # -1, for a sample without a label, takes what is appended.
+        weight = np.append(self.cost, np.inf).take(other, mode="wrap")
+        weight += self.cost[:, None]
+        weight *= np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2)
+        beyond = np.append(self.label, np.int8(-1)).take(other, mode="wrap")
+        row, step = np.divmod(np.flatnonzero((beyond != self.label[:, None]) & (other >= 0)), len(STEPS))
+        shut = ~self.field.joined[self.label[row], beyond[row, step]]
+        weight[row[shut], step[shut]] = np.inf
+        return np.where(other >= 0, other, np.arange(len(other), dtype=np.int32)[:, None]), weight
 
-    def _grown(self, weight: Array, node: Index, cost: Array, limit: float = np.inf) -> Tree:
+    def _grown(self, weight: Array, node: Index, cost: Array, limit: float = 1e9) -> Tree:
         """The tree of cheapest ways from a root that leads to some nodes at some cost, as far as a limit."""
-        indptr, column, _ = self.rows
-        order = np.argsort(node, kind="stable")
-        data = np.concatenate([weight, cost[order]])
-        size = len(self.cells) + 1
+        order, size = np.argsort(node, kind="stable"), len(self.cells) + 1
+        indptr = np.arange(0, weight.size + 1, len(STEPS), dtype=np.int32)
         graph = sparse.csr_matrix(
-            (data, np.concatenate([column, node[order].astype(np.int32)]), np.append(indptr, np.int32(len(data)))),
+            (
+                np.concatenate([weight.ravel(), cost[order]]),
+                np.concatenate([self.column.ravel(), node[order].astype(np.int32)]),
+                np.append(indptr, np.int32(weight.size + len(node))),
+            ),
             shape=(size, size),
         )
         length, before = csgraph.dijkstra(graph, indices=[size - 1], return_predecessors=True, limit=limit)
@@ -205,44 +221,51 @@ class RouteGraph:
         cost = (stub + np.concatenate(lengths)[turn]) * self.cost[hit]
         return Mouths(start, outer, mouth, hit, points[turn, mouth, :2], np.concatenate(headings)[turn, mouth], cost)
 
-    def tree(self, seat: int, earlier: list[Array], apart: float, banned: set[int]) -> Tree | None:
-        """Cheapest ways from a motor to every sample that keep `apart` from earlier tunnels [m].
+    def taken(self, seat: int, earlier: list[Array], apart: float) -> Taken:
+        """What earlier tunnels, as points at most a few millimetres apart, leave no room for at a distance [m]."""
+        cells = np.zeros(len(self.cells), bool)
+        for path in earlier:
+            near = self.index.take(_samples_near(self.field.clearance, path, apart))
+            cells[near[near >= 0]] = True
+        starts, ends = (
+            np.any([np.minimum(_distance((m.start + m.outer) / 2, p), _distance(m.outer, p)) < apart for p in earlier],
+                   axis=0) if earlier else np.zeros(len(m.start), bool)
+            for m in (self.starts, self.ends[seat])
+        )  # fmt: skip
+        return Taken(cells, starts, ends)
+
+    def tree(self, seat: int, taken: Taken, banned: set[int]) -> Tree | None:
+        """Cheapest ways from a motor to every sample that earlier tunnels leave.
 
         Args:
             seat: index of the motor.
-            earlier: tunnels as points at most a few millimetres apart.
-            apart: least distance to them.
+            taken: by earlier tunnels.
             banned: mouths at the motor that must not be used.
 
         Returns:
             The tree, as far as ways may matter, or None where every mouth is taken.
         """
         ends = self.ends[seat]
-        taken = np.zeros(len(self.cells), bool)
-        for path in earlier:
-            low, high = path.min(axis=0) - apart, path.max(axis=0) + apart
-            near = np.flatnonzero(((self.points >= low) & (self.points <= high)).all(axis=1) & ~taken)
-            taken[near] = _distance(self.points[near], path) < apart
         cost = ends.cost + HEADING * (1 - self._onward(ends, self.first.before)) + self.rest[ends.node]
-        cost[self._shut(ends, earlier, apart, banned)[ends.mouth] | taken[ends.node]] = np.inf
+        cost[_shut(taken.ends, banned)[ends.mouth] | taken.cells[ends.node]] = np.inf
         if not len(cost) or not np.isfinite(cost).any():
             return None
-        added, indptr = self.added.copy(), self.rows[0]
-        rows = np.flatnonzero(taken)
-        counts = np.diff(indptr)[rows]
-        added[np.repeat(indptr[rows] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())] = np.inf
+        added = self.added
+        if taken.cells.any():
+            added = added.copy()
+            added[taken.cells] = np.inf
         for detour in DETOURS:
             tree = self._grown(added, ends.node, cost, float(cost.min()) + detour)
-            tree.length[taken] = np.inf
+            tree.length[taken.cells] = np.inf
             if np.isfinite(tree.length[self.starts.node]).any():
                 break
         return replace(tree, length=tree.length - self.rest)
 
-    def way(self, seat: int, tree: Tree, earlier: list[Array], apart: float, banned: set[int]) -> Way | None:
+    def way(self, seat: int, tree: Tree, taken: Taken, banned: set[int]) -> Way | None:
         """Cheapest way of a motor's tree to the controller, without its banned mouths, or None."""
         starts, ends = self.starts, self.ends[seat]
         total = tree.length[starts.node] + starts.cost + HEADING * (1 - self._onward(starts, tree.before))
-        total[self._shut(starts, earlier, apart, banned)[starts.mouth]] = np.inf
+        total[_shut(taken.starts, banned)[starts.mouth]] = np.inf
         if not len(total) or not np.isfinite(total).any():
             return None
         best = int(np.argmin(total))
@@ -257,15 +280,6 @@ class RouteGraph:
             ends.bends[leaf][::-1], ends.outer[[last]], ends.start[[last]],
         ]  # fmt: skip
         return Way(np.concatenate(points), first, last)
-
-    @staticmethod
-    def _shut(mouths: Mouths, earlier: list[Array], apart: float, banned: set[int]) -> NDArray[np.bool_]:
-        """Which mouths are banned or taken."""
-        shut = np.isin(np.arange(len(mouths.start)), sorted(banned))
-        for path in earlier:
-            middle = (mouths.start + mouths.outer) / 2
-            shut |= np.minimum(_distance(middle, path), _distance(mouths.outer, path)) < apart
-        return shut
 
     def _onward(self, mouths: Mouths, before: NDArray[np.int32]) -> Array:
         """Cosine between the heading of every arc and the way onward from its end, (k,)."""
@@ -316,6 +330,30 @@ def _ring(axis: Array) -> Array:
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     turn = np.arange(6) * (np.pi / 3)
     return np.asarray(np.cos(turn)[:, None, None] * x + np.sin(turn)[:, None, None] * np.cross(axis, x))
+
+
+def _shut(taken: NDArray[np.bool_], banned: set[int]) -> NDArray[np.bool_]:
+    """Which mouths are banned or taken."""
+    shut = taken.copy()
+    shut[sorted(banned)] = True
+    return shut
+
+
+def _samples_near(grid: Field, path: Array, apart: float) -> Index:
+    """Flat indices of the samples of a lattice nearer than `apart` to any vertex of a path (k, 3) [m], some twice."""
+    place = (path - grid.origin) / grid.spacing
+    middle = np.rint(place).astype(np.int64)
+    reach = int(apart / grid.spacing + 0.5)
+    offset = np.arange(-reach, reach + 1)
+    squares = []
+    for axis, size in enumerate(grid.values.shape):
+        at = middle[:, axis, None] + offset
+        squares.append(np.where((at >= 0) & (at < size), (at - place[:, axis, None]) ** 2, np.inf))
+    x, y, z = squares
+    near = x[:, :, None, None] + y[:, None, :, None] + z[:, None, None] < (apart / grid.spacing) ** 2
+    vertex, *steps = np.nonzero(near)
+    i, j, k = (middle[vertex, axis] + offset[step] for axis, step in enumerate(steps))
+    return np.asarray((i * grid.values.shape[1] + j) * grid.values.shape[2] + k, np.int64)
 
 
 def _distance(points: Array, path: Array) -> Array:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue, Size
@@ -64,16 +64,16 @@ def largest_clearance(depth: Field) -> float:
     The field ranks the places; the radius itself is the distance to the surface phi = 0, so that a field smoothed deep
     inside does not matter. Exact up to the curvature of the surface between lattice lines.
     """
-    surface = crossings(depth)
+    surface = cKDTree(crossings(depth))
     deep = np.argwhere(depth.values > max(0.0, float(depth.values.max()) - 2 * depth.spacing))
     order = np.argsort(-depth.values[tuple(deep.T)], kind="stable")[:60]
     tried = np.asarray((deep[order] + depth.corner) * depth.spacing, np.float64)
     steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    radius = _distance(tried, surface)
+    radius = np.asarray(surface.query(tried)[0], np.float64)
     for scale in (2, 4, 8):
         best = tried[np.argsort(-radius, kind="stable")[:4]]
         tried = (best + steps * (depth.spacing / scale)).reshape(-1, 3)
-        radius = _distance(tried, surface)
+        radius = np.asarray(surface.query(tried)[0], np.float64)
     return float(radius.max())
 
 
@@ -226,14 +226,6 @@ def _volume_in_cylinder(
             share = np.clip(depth / width[:, None, None] + 0.5, 0.0, 1.0)
             total += float((share.sum(axis=(1, 2)) * cell).sum())
     return total
-
-
-def _distance(points: NDArray[np.float64], surface: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance from each point (n, 3) to the nearest of the surface points (m, 3) [m]."""
-    origin = surface.mean(axis=0)
-    p, s = points - origin, surface - origin
-    squared = (p**2).sum(axis=1) + ((s**2).sum(axis=1) - 2 * p @ s.T).min(axis=1)
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0)), np.float64)
 
 
 def _normals(depth: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.float32]:

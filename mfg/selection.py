@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from mfg.catalogue import Battery, Catalogue, Computer, Motor, Wire
-from mfg.component_file import Library
+from mfg.library import Library
 from mfg.robot_files import STALL_OVER_PEAK
 
 FULL, EMPTY = 4.2 / 3.7, 3.3 / 3.7  # voltage of a lithium cell when charged and when to stop, over its nominal one

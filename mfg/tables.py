@@ -57,15 +57,21 @@ def sliced_bill(bill: str, report: SliceReport, filaments: tuple[str, str]) -> s
 
 
 def wiring_table(blueprint: Blueprint) -> str:
-    """CSV: one line per cable, with the motor's CAN address and the sign of its angle."""
+    """CSV: one line per cable, with the motor's CAN address, the sign of its angle and the slack at each joint.
+
+    The length is that of the cable to cut; the slack in it is named again by joint, from the controller on.
+    """
     rows = []
     for wire in blueprint.wires:
         seat = blueprint.seats[wire.seat]
         hinge = blueprint.hinges[seat.hinge]
         mates = blueprint.bodies[seat.holder].name, blueprint.bodies[seat.connector].name
         address = (*can_address(wire.seat), turn_sign(blueprint, seat))
-        rows.append((wire.name, "controller", hinge.name, f"{1e3 * wire.cable_length:.0f}", *address, *mates))
-    header = ("wire", "from", "to", "length_mm", "bus", "can_id", "sign", "motor_held_by", "output_screwed_to")
+        slack = " ".join(f"{blueprint.hinges[c.hinge].name}:{1e3 * c.slack:.0f}" for c in wire.crossings)
+        rows.append((wire.name, "controller", hinge.name, f"{1e3 * wire.cable_length:.0f}", *address, *mates, slack))
+    header = (
+        "wire", "from", "to", "length_mm", "bus", "can_id", "sign", "motor_held_by", "output_screwed_to", "slack_mm",
+    )  # fmt: skip
     return _csv(header, rows)
 
 

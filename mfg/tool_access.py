@@ -65,6 +65,7 @@ def _shortfall(seat: MotorSeat, other: MotorSeat, mount: Mount) -> float:
             continue
         T, U = seat.T_design_motor, other.T_design_motor
         local = (room.points @ T[:3, :3].T + (T[:3, 3] - U[:3, 3])) @ U[:3, :3]
+        local = local.astype(np.float32)
         radial, along = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
         met = np.zeros(len(local), bool)
         for there, depth in ((cup, cup_depth), (disc, disc_depth)):

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from mfg.blueprint import Blueprint
 from mfg.fields import Field
+from mfg.miss import Miss
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.route_field import Margins, RouteField
@@ -55,13 +56,15 @@ def bottleneck(
     sinks = _samples(field.clearance, end + AHEAD * out)
     low_room, high_room = -SEARCHED, float(min(clearance[tuple(sources.T)].max(), clearance[tuple(sinks.T)].max()))
     need = f"{1e3 * margins.radius:.1f} mm"
-    joint = blueprint.hinges[blueprint.seats[seat].hinge].name
+    hinge = blueprint.seats[seat].hinge
+    joint = blueprint.hinges[hinge].name
     if high_room <= low_room or not _connected(clearance, low_room, sources, sinks):
         return Failure(
             Stage.WIRE,
             Reason.NO_ROUTE,
             f"{name} finds no way from the controller to the motor of {joint}, even with {1e3 * SEARCHED:.0f} mm less "
             "room around it than it needs; bone that joins the two would mend it",
+            Miss("room for a cable", "m", joints=(hinge,)),
         )
     while high_room - low_room > ACCURACY:
         middle = (low_room + high_room) / 2
@@ -69,13 +72,16 @@ def bottleneck(
             low_room = middle
         else:
             high_room = middle
-    place = where(blueprint, _tightest(field.clearance.with_values(clearance), low_room, sources, sinks))
+    tightest = _tightest(field.clearance.with_values(clearance), low_room, sources, sinks)
+    place, (near, body) = where(blueprint, tightest), nearest(blueprint, tightest)
+    joints = tuple(sorted({hinge, near}))
     if low_room >= 0:
         return Failure(
             Stage.WIRE,
             Reason.NO_ROUTE,
             f"{name} has a way with {1e3 * low_room:.1f} mm to spare, tightest {place}, but none that it can enter "
             f"straight at the controller and at the motor of {joint}; more bone around these would mend it",
+            Miss("room for a cable", "m", joints=joints, bodies=(body,)),
         )
     return Failure(
         Stage.WIRE,
@@ -83,15 +89,23 @@ def bottleneck(
         f"{name} needs a tunnel of radius {need}, the widest way to the motor of {joint} has room for "
         f"{1e3 * (margins.radius + low_room):.1f} mm, {place}; {math.ceil(-1e3 * low_room):d} mm more bone there "
         "would mend it",
+        Miss("room for a cable", "m", margins.radius + low_room, margins.radius, joints, (body,), -low_room),
     )
+
+
+def nearest(blueprint: Blueprint, point: Array) -> tuple[int, int]:
+    """The joint nearest to a point, and the body in which it is or that is nearest to it: their indices."""
+    away = [float(np.linalg.norm(hinge.position - point)) for hinge in blueprint.hinges]
+    depth = [float(body.bone.sample(point[None])[0]) for body in blueprint.bodies]
+    return int(np.argmin(away)), int(np.argmax(depth))
 
 
 def where(blueprint: Blueprint, point: Array) -> str:
     """Say where a point is: in which body, and how far from which joint."""
-    joint = min(blueprint.hinges, key=lambda hinge: float(np.linalg.norm(hinge.position - point)))
-    depth = [float(body.bone.sample(point[None])[0]) for body in blueprint.bodies]
-    body = blueprint.bodies[int(np.argmax(depth))]
-    return f"{'in' if max(depth) > 0 else 'beside'} {body.name}, {_mm(joint.position - point)} mm from {joint.name}"
+    near, around = nearest(blueprint, point)
+    joint, body = blueprint.hinges[near], blueprint.bodies[around]
+    side = "in" if float(body.bone.sample(point[None])[0]) > 0 else "beside"
+    return f"{side} {body.name}, {_mm(joint.position - point)} mm from {joint.name}"
 
 
 def _mm(offset: Array) -> str:

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, WireRun
 from mfg.elastic_band import nearest_of, relaxed
+from mfg.miss import Miss
 from mfg.outcome import Failure, Reason, Stage
 from mfg.route_field import Margins, Obstacles, RouteField
 from mfg.route_graph import RouteGraph, Way
 from mfg.scores import cable_score
-from mfg.wire_bottleneck import bottleneck, where
+from mfg.wire_bottleneck import bottleneck, nearest, where
 from mfg.wire_slack import crossings
 from mfg.wires import WireSolver, curvature, resampled
 
@@ -127,11 +128,12 @@ class SearchWireSolver:
         no_start: set[int] = set()
         no_end: set[int] = set()
         tree = None
+        near = graph.taken(k, taken, 2 * radius + gap + SHORT)
         closest: Failure | None = None
         for _ in range(self.tries):
             if tree is None:
-                tree = graph.tree(k, taken, 2 * radius + gap + SHORT, no_end)
-            way = None if tree is None else graph.way(k, tree, taken, 2 * radius + gap + SHORT, no_start)
+                tree = graph.tree(k, near, no_end)
+            way = None if tree is None else graph.way(k, tree, near, no_start)
             if way is None:
                 break
             path = self._relaxed(blueprint, graph, way, earlier)
@@ -146,7 +148,8 @@ class SearchWireSolver:
             run = self._with_slack(blueprint, WireRun(name, k, path, radius))
             if isinstance(run, WireRun) and run.length > self.max_length:
                 detail = f"{name} would be {run.length:.2f} m long, at most {self.max_length:.2f} m is allowed"
-                return Failure(Stage.WIRE, Reason.NO_ROUTE, detail)
+                miss = Miss("length of a cable", "m", run.length, self.max_length, (blueprint.seats[k].hinge,))
+                return Failure(Stage.WIRE, Reason.NO_ROUTE, detail, miss)
             return run
         return closest or bottleneck(blueprint, graph.field, graph.margins, k, name, taken)
 
@@ -186,7 +189,7 @@ class SearchWireSolver:
         return short
 
     def _fault(self, blueprint: Blueprint, name: str, fault: _Fault) -> Failure:
-        place = where(blueprint, fault.point)
+        place, (joint, body) = where(blueprint, fault.point), nearest(blueprint, fault.point)
         if fault.kind == "bend":
             least = blueprint.catalogue.wire.bend_radius
             return Failure(
@@ -194,12 +197,14 @@ class SearchWireSolver:
                 Reason.SHARP_BEND,
                 f"{name} would bend to a radius of {1e3 * fault.size:.0f} mm {place}, at least {1e3 * least:.0f} mm is "
                 f"needed; more bone there or a cable that bends to {1e3 * fault.size:.0f} mm would mend it",
+                Miss("radius of a bend", "m", fault.size, least, (joint,), (body,)),
             )
         return Failure(
             Stage.WIRE,
             Reason.NO_ROUTE,
             f"{name} comes {1e3 * fault.size:.1f} mm too near to something {place}; {1e3 * fault.size:.0f} mm more "
             "bone there would mend it",
+            Miss("room for a cable", "m", -fault.size, 0.0, (joint,), (body,), fault.size),
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Crossing, MotorSeat
+from mfg.miss import Miss
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 
@@ -37,9 +38,8 @@ def crossings(blueprint: Blueprint, seat: int, path: Array, reserve: float) -> t
         joint = next((k for k, h in enumerate(blueprint.hinges) if {h.parent, h.body} == {a, b}), None)
         if joint is None:
             names = blueprint.bodies[a].name, blueprint.bodies[b].name
-            return Failure(
-                Stage.WIRE, Reason.NO_ROUTE, f"the cable would pass from {names[0]} to {names[1]}, which no joint holds"
-            )
+            detail = f"the cable would pass from {names[0]} to {names[1]}, which no joint holds"
+            return Failure(Stage.WIRE, Reason.NO_ROUTE, detail, Miss("room for a cable", "m", bodies=(a, b)))
         hinge = blueprint.hinges[joint]
         sign = 1.0 if hinge.parent == a else -1.0
         motor = next(s for s in blueprint.seats if s.hinge == joint)

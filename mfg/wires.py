@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mfg.blueprint import Blueprint, WireRun
+from mfg.miss import Miss
 from mfg.outcome import Failure, Reason, Stage
 from mfg.routing import Hardware, Net
 from mfg.scores import cable_score
@@ -78,15 +79,18 @@ class WireSolver:
         runs: dict[int, WireRun] = {}
         notes = []
         for k in order:
-            name = f"wire_{blueprint.hinges[blueprint.seats[k].hinge].body}"
+            joint = (blueprint.seats[k].hinge,)
+            name = f"wire_{blueprint.hinges[joint[0]].body}"
             earlier = [run.path for run in runs.values()]
             found = net.route(k, earlier)
             if found is None:
-                return Failure(Stage.WIRE, Reason.NO_ROUTE, f"no free way along the bones to the motor of {name}")
+                detail = f"no free way along the bones to the motor of {name}"
+                return Failure(Stage.WIRE, Reason.NO_ROUTE, detail, Miss("room for a cable", "m", joints=joint))
             rough, compromise = found
             path = self._smooth(rough, hardware, k, radius, earlier)
             if path is None:
-                return Failure(Stage.WIRE, Reason.NO_ROUTE, f"{name} cannot be kept clear of motors, boxes and cables")
+                detail = f"{name} cannot be kept clear of motors, boxes and cables"
+                return Failure(Stage.WIRE, Reason.NO_ROUTE, detail, Miss("room for a cable", "m", joints=joint))
             # Two chords that turn by q have the curvature 2 sin(q / 2) / chord.
             turn = 2 * math.asin(min(1.0, curvature(path) * CHORD / 2))
             if turn > self.max_turn:
@@ -95,6 +99,7 @@ class WireSolver:
                     Reason.SHARP_BEND,
                     f"{name} would turn by {math.degrees(turn):.0f} degrees within {2e3 * CHORD:.0f} mm, at most "
                     f"{math.degrees(self.max_turn):.0f} degrees can a cable be pushed around",
+                    Miss("turn of a cable", "rad", turn, self.max_turn, joint),
                 )
             runs[k] = WireRun(name, k, path, radius)
             if runs[k].length > self.max_length:
@@ -102,6 +107,7 @@ class WireSolver:
                     Stage.WIRE,
                     Reason.NO_ROUTE,
                     f"{name} would be {runs[k].length:.2f} m long, at most {self.max_length:.2f} m is allowed",
+                    Miss("length of a cable", "m", runs[k].length, self.max_length, joint),
                 )
             if compromise:
                 notes.append(f"{name} {compromise}")

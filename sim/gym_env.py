@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sim.environment import TEN_SECONDS, Environment, Episode
 from sim.herd import with_latency_room
+from sim.mixture import Mixture
 from sim.model import Model, load_spec
 from sim.randomisation import Randomisation
 from sim.tasks import FAST, Task
@@ -18,9 +19,9 @@ from sim.tasks import FAST, Task
 ID = "bodyplan/Walk-v0"
 
 
-def spaces_of(environment: Environment) -> tuple[Any, Any]:
+def spaces_of(environment: Environment | Mixture) -> tuple[Any, Any]:
     """Gymnasium's spaces of one copy's observation and action."""
-    size, n = environment.layout.size, environment.model.nu
+    size, n = environment.layout.size, environment.map.num_joints
     observation = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
     return observation, gymnasium.spaces.Box(-1.0, 1.0, (n,), np.float32)
 

@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from sim.actor import Perceptron
 from sim.environment import Environment
 from sim.gym_env import spaces_of
+from sim.mixture import Mixture
 from sim.observation import normaliser
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ USUAL = Ppo()
 class Vector(VecEnv):  # type: ignore[misc]  # the library ships no types
     """The environment as Stable-Baselines3 wants it."""
 
-    def __init__(self, environment: Environment, rng: np.random.Generator) -> None:
+    def __init__(self, environment: Environment | Mixture, rng: np.random.Generator) -> None:
         """Wrap an environment; `rng` is that of its next reset."""
         self.environment, self.rng = environment, rng
         self.begin(rng)
@@ -148,7 +149,7 @@ class Normalise(BaseFeaturesExtractor):  # type: ignore[misc]
         return (observations - self.centre) * self.gain
 
 
-def ppo_on(vector: VecEnv, environment: Environment, settings: Ppo, seed: int) -> PPO:
+def ppo_on(vector: VecEnv, environment: Environment | Mixture, settings: Ppo, seed: int) -> PPO:
     """The library's PPO on any vector of environments like this one."""
     centre, gain = normaliser(environment.layout, environment.map)
     # Checking the arguments of every distribution costs as much as evaluating it; `Learner.learn` looks at the result.
@@ -171,7 +172,7 @@ def ppo_on(vector: VecEnv, environment: Environment, settings: Ppo, seed: int) -
 class Learner:
     """PPO on an environment; its state is plain arrays, and what it draws comes from the generators it is given."""
 
-    def __init__(self, environment: Environment, settings: Ppo, seed: int) -> None:
+    def __init__(self, environment: Environment | Mixture, settings: Ppo, seed: int) -> None:
         """Make a fresh policy; the same seed makes the same one."""
         torch.set_num_threads(1)
         self.environment, self.settings = environment, settings

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from sim.actor import Actor, Gait, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
 from sim.learning import USUAL, Learner, Ppo, Unlearnable
+from sim.mixture import Mixture
 from sim.model import Model
 from sim.randomisation import RANDOMISED, Randomisation, draw
 from sim.rollout import Behaviour, measure, settle
@@ -20,6 +21,7 @@ from sim.tasks import FAST, SCALE, Goal, Task
 Array = NDArray[np.float64]
 
 LEARN, EVALUATE, RACE = 0, 1, 2  # purposes of randomness
+OTHERS = 0.26  # share of the copies and of the episodes that have another model of the robot
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 RHYTHM_SPREAD = 2 / 3  # of exploration about a rhythm over that of a free start
 EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and their length [s]
@@ -160,17 +162,21 @@ class Chunk:
 class Trainer:
     """One policy in the making; `advance` runs one chunk."""
 
-    def __init__(self, model: Model, training: Training, start: Start, *, nthread: int = 1) -> None:
+    def __init__(
+        self, model: Model, training: Training, start: Start, *, others: Sequence[Model] = (), nthread: int = 1
+    ) -> None:
         """Begin from nothing.
 
         Args:
             model: of the robot, made by `sim.herd.with_latency_room`.
             training: what to do.
             start: what it begins with.
+            others: the same robot modelled otherwise; a share of the experience and of the evaluation is on them.
             nthread: threads of the physics; it changes no result.
         """
         self.model, self.training, self.start, self.nthread = model, training, start, nthread
-        self.environment = environment_of(model, training, start, nthread)
+        self.others = tuple(others)
+        self.environment = mixture_of(model, self.others, training, start, nthread)
         self.learner = Learner(self.environment, training.ppo, training.seed)
         self.done = 0  # chunks
         self.best: Perceptron | None = None
@@ -199,7 +205,7 @@ class Trainer:
         curves, seconds = self.learner.learn(steps, rng, rate, spread)
         self.done += 1
         actor = self.actor()
-        verdict = evaluate(self.model, actor, training, self.nthread, self._settled)
+        verdict = evaluate(self.model, actor, training, self.nthread, self._settled, self.others)
         if self.best_verdict is None or verdict.score > self.best_verdict.score:
             self.best, self.best_verdict = actor, verdict
         return Chunk(
@@ -238,16 +244,20 @@ class Trainer:
 
 
 def evaluate(
-    model: Model, actor: Perceptron, training: Training, nthread: int = 1, start: Array | None = None
-) -> Verdict:
+    model: Model, actor: Perceptron, training: Training, nthread: int = 1, start: Array | None = None,
+    others: Sequence[Model] = (),
+) -> Verdict:  # fmt: skip
     """Measure a policy without exploration: once on the model as it is, in randomised episodes, and by its task.
 
     The draws are the same for every policy of a training, so that verdicts differ by the policy alone.
     """
     start = settle(model) if start is None else start
     plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
-    behaviours = randomised(model, actor, training.randomisation or RANDOMISED, training.seed,
-                            seconds=EVALUATION_SECONDS, start=start, nthread=nthread)  # fmt: skip
+    behaviours: list[Behaviour | None] = []
+    counts = shared_out(EPISODES, len(others))
+    for robot, count, at in zip((model, *others), counts, (start, *[None] * len(others)), strict=True):
+        behaviours += randomised(robot, actor, training.randomisation or RANDOMISED, training.seed, episodes=count,
+                                 seconds=EVALUATION_SECONDS, start=at, nthread=nthread)  # fmt: skip
     alive = [b for b in behaviours if b is not None]
     return Verdict(
         speed=0.0 if plain is None else plain.speed * plain.upright,
@@ -255,6 +265,12 @@ def evaluate(
         falls=sum(b.fell for b in alive), episodes=len(behaviours), lost=len(behaviours) - len(alive),
         reward=None if training.task.goal is Goal.SPEED else mean_reward(model, actor, training, nthread),
     )  # fmt: skip
+
+
+def shared_out(count: int, others: int) -> list[int]:
+    """How many of `count` robots are the model as it is, and how many each of its other models; all at least one."""
+    few = -(-round(OTHERS * count) // others) if others else 0
+    return [count - others * few, *[few] * others]
 
 
 def mean_reward(model: Model, actor: Perceptron, training: Training, nthread: int = 1) -> float:
@@ -315,13 +331,26 @@ class Race:
         return curves["speed"] / SCALE / 2.0
 
 
-def environment_of(model: Model, training: Training, start: Start, nthread: int = 1) -> Environment:
-    """Where a training from a start takes place."""
+def environment_of(
+    model: Model, training: Training, start: Start, nthread: int = 1, count: int | None = None
+) -> Environment:
+    """Where a training from a start takes place, with so many copies, all of the learner's by default."""
     reach = REACH if start.rhythm is None else CORRECTION
     return Environment(
-        model, training.ppo.copies, replace(training.task, heading=start.heading),
+        model, training.ppo.copies if count is None else count, replace(training.task, heading=start.heading),
         action_map(model, start.posture, reach), training.randomisation, training.episode, start.rhythm, nthread,
     )  # fmt: skip
+
+
+def mixture_of(
+    model: Model, others: Sequence[Model], training: Training, start: Start, nthread: int = 1
+) -> Environment | Mixture:
+    """The same on several models of the robot at once."""
+    if not others:
+        return environment_of(model, training, start, nthread)
+    counts = shared_out(training.ppo.copies, len(others))
+    models = zip((model, *others), counts, strict=True)
+    return Mixture([environment_of(robot, training, start, nthread, count) for robot, count in models])
 
 
 def first_spread(training: Training, start: Start) -> float:

@@ -44,6 +44,7 @@ DOORS: dict[str, set[str]] = {
         "experiments/config.py",
         "experiments/decoder_config.py",
         "experiments/policy_config.py",
+        "experiments/toml_document.py",
         "experiments/toml_text.py",
     },
     "gymnasium": {"sim/gym_env.py", "experiments/bench_training.py"},

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.passthrough import ORDER, OUTCOMES, PASSED, pass_through, wilson
+from analysis.passthrough import ORDER, OUTCOMES, PASSED, Paired, paired, pass_through, wilson
 from mfg.outcome import Stage
 
 outcomes = st.lists(st.sampled_from(OUTCOMES), max_size=200)
@@ -95,3 +95,68 @@ def test_wilson_holds_the_proportion_and_mirrors(pair):
 def test_wilson_refuses_what_is_no_proportion():
     with pytest.raises(ValueError, match=r"\[0, 3\]"):
         wilson(4, 3)
+
+
+@pytest.mark.parametrize(
+    ("table", "low", "high"),
+    [  # Newcombe (1998), "Improved confidence intervals ... based on paired data", table II, method 10, and by hand
+        (Paired(both=36, second=12, first=2, neither=0), 0.0569, 0.3404),
+        (Paired(both=54, second=0, first=0, neither=0), -0.0664, 0.0664),
+    ],
+)
+def test_paired_difference_against_published_values(table, low, high):
+    assert table.interval == pytest.approx((low, high), abs=5e-5)
+
+
+tables = st.lists(st.integers(0, 60), min_size=4, max_size=4).map(lambda c: Paired(*c))
+
+
+@given(tables)
+def test_paired_difference_lies_in_its_interval_and_mirrors(table):
+    low, high = table.interval
+    assert -1.0 <= low <= high <= 1.0
+    swapped = Paired(table.both, table.second, table.first, table.neither)
+    assert (-swapped.interval[1], -swapped.interval[0]) == pytest.approx((low, high), abs=1e-12)
+    assert swapped.p_value == table.p_value
+    if table.n:
+        assert low <= table.difference <= high
+        successes = table.second + table.both, table.first + table.both
+        assert table.difference == pytest.approx((successes[0] - successes[1]) / table.n)
+
+
+def test_the_interval_covers_the_difference_as_often_as_it_says():
+    """Every table of 12 pairs, weighted by its probability under some laws; discreteness leaves it short of 95 %."""
+    n = 12
+    for law in ((0.3, 0.05, 0.35, 0.3), (0.25, 0.25, 0.25, 0.25), (0.6, 0.1, 0.2, 0.1), (0.1, 0.02, 0.4, 0.48)):
+        truth, covered, total = law[2] - law[1], 0.0, 0.0
+        for a in range(n + 1):
+            for b in range(n + 1 - a):
+                for c in range(n + 1 - a - b):
+                    counts = (a, b, c, n - a - b - c)
+                    ways = math.factorial(n) // math.prod(map(math.factorial, counts))
+                    weight = ways * math.prod(p**k for p, k in zip(law, counts, strict=True))
+                    low, high = Paired(*counts).interval
+                    total += weight
+                    covered += weight * (low <= truth <= high)
+        assert total == pytest.approx(1.0)
+        assert 0.93 <= covered <= 0.995, law
+
+
+@given(st.integers(0, 7), st.integers(0, 7))
+def test_mcnemar_is_a_count_of_coin_tosses(first, second):
+    tosses = first + second
+    extreme = min(first, second)
+    heads = [bin(outcome).count("1") for outcome in range(2**tosses)]
+    brute = sum(h <= extreme or h >= tosses - extreme for h in heads) / 2**tosses
+    assert Paired(3, first, second, 4).p_value == pytest.approx(brute)
+
+
+def test_pairs_are_counted_from_outcomes():
+    first = ["passed", "motor", "passed", "wire", "motor"]
+    second = ["passed", "passed", "print", "wire", "passed"]
+    assert paired(first, second) == Paired(both=1, first=1, second=2, neither=1)
+    with pytest.raises(ValueError, match="shorter than argument 1"):
+        paired(first, second[:-1])
+    assert paired([], []).interval == (-1.0, 1.0)
+    assert paired([], []).difference is None
+    assert paired([], []).p_value == 1.0

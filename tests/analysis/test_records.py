@@ -6,7 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.records import COLUMNS, RecordsError, by_reason, frame, latents, read_meta, read_records, write_csv
+from analysis.records import (
+    COLUMNS,
+    RecordsError,
+    by_reason,
+    frame,
+    latents,
+    read_meta,
+    read_records,
+    with_repairs,
+    write_csv,
+)
 
 CONTRACT = (
     "id", "generation", "candidate", "design", "latent", "stage", "reason", "speed", "s_motor", "s_elec", "s_cable",
@@ -89,3 +99,23 @@ def test_failures_by_reason(run_folder):
         [("motor", "no_overlap"), ("electronics", "no_room"), ("print", "too_large"), ("worker", "timed_out")]
     )
     assert sum(len(group) for group in groups.values()) == 8
+
+
+def test_repairs_are_joined_by_id_and_a_file_without_any_is_told(run_folder, tmp_path):
+    path = run_folder() / "run.sqlite"
+    with pytest.raises(RecordsError, match="holds no repairs"):
+        with_repairs(read_records(path), path)
+    records = read_records(path)
+    failed = list(records["id"][records["outcome"] != "passed"])
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE repairs (id INTEGER PRIMARY KEY, stage TEXT, changes TEXT)")
+        rows = [(failed[1], "wire", "[]"), (failed[0], None, '["a, b", "c"]')]
+        connection.executemany("INSERT INTO repairs VALUES (?, ?, ?)", rows)
+    connection.close()
+    joined = with_repairs(records, path).set_index("id")
+    assert tuple(joined.loc[failed[0], ["repaired", "changes"]]) == ("passed", "a, b; c")
+    assert tuple(joined.loc[failed[1], ["repaired", "changes"]]) == ("wire", "")
+    others = joined.drop(failed[:2])
+    assert (others["repaired"] == others["outcome"]).all()
+    assert (others["changes"] == "").all()
+    assert "repaired" not in records.columns

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -7,12 +8,15 @@ import pytest
 
 from decoder.latent import sample_latents
 from evo import evaluate as module
+from evo import sizing
 from evo.evaluate import Evaluate, EvaluateTwin, Learning
 from evo.evaluation import Candidate, Evaluation
 from evo.fitness import FitnessRule
+from evo.judge import Judge
 from evo.pool import Pool
 from evo.record import gait_to_json
 from mfg import pipeline
+from mfg.library import read_library
 from mfg.outcome import Reason, Stage
 from sim.gaits import GaitBudget
 from sim.rollout import Diverged
@@ -143,3 +147,18 @@ def test_exploding_physics_is_a_lost_measurement(
         assert lost.fitness is None
         assert lost.scores == passed.scores or lost.scores.total > 0
         assert lost.design == passed.design
+
+
+def test_parts_are_sized_to_every_candidate(monkeypatch: pytest.MonkeyPatch, evaluations: list[Evaluation]) -> None:
+    passed = next(e for e in evaluations if e.passed)
+    monkeypatch.setattr(sizing, "sized", functools.partial(sizing.sized, budget=BUDGET))
+    judge = Judge(library=read_library(), drivers="only")
+    one, two = (replace(EVALUATE, judge=judge)(passed.candidate) for _ in range(2))
+    assert same(one, two)
+    assert one.walk is not None and passed.walk is not None  # noqa: PT018
+    assert one.design == passed.design
+    assert "sizing" in one.stages
+    assert one.walk.mass < passed.walk.mass  # the paper's battery is larger than this body's gait asks for
+    twin = replace(TWIN, judge=judge)(one)
+    assert twin.walk is not None
+    assert twin.walk.mass == pytest.approx(one.walk.mass, rel=0.1)

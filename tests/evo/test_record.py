@@ -161,3 +161,30 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path) -> None:
 def test_meta_comes_back(tmp_path: Path) -> None:
     with create(tmp_path / "run.sqlite") as record:
         assert record.meta() == {"seed": "0", "config": "kind = 'evolve'"}
+
+
+def test_a_repaired_body_is_kept_beside_its_own_verdict(tmp_path: Path) -> None:
+    latent = np.arange(4, dtype=np.float32)
+    failure = Failure(Stage.MOTOR, Reason.NO_OVERLAP, "too thin")
+    changes = ('segment 1 "thicker"; by 1', "größer")
+    mended = Evaluation(Candidate(0, 3, latent), "new", Scores(0.5), stages={"repair": 2.5}, changes=changes)
+    with create(tmp_path / "run.sqlite") as record:
+        record.add(Evaluation(Candidate(0, 3, latent), "old", Scores(0.25), failure, repaired=mended), 4.0)
+        record.add(Evaluation(Candidate(0, 4, latent), "whole", Scores(0.75)), 1.0)
+        plain, repaired = record.evaluations(), record.evaluations(table="repairs")
+    assert [(e.candidate.index, e.design, e.failure, e.changes) for e in plain] == [
+        (3, "old", failure, ()), (4, "whole", None, ()),
+    ]  # fmt: skip
+    assert [fields(e) for e in repaired] == [fields(mended)]
+    assert repaired[0].changes == changes
+
+
+def test_a_verdict_and_its_repair_are_kept_together_or_not_at_all(tmp_path: Path) -> None:
+    latent = np.zeros(2, np.float32)
+    failure = Failure(Stage.WIRE, Reason.NO_ROUTE, "x")
+    lost = Evaluation(Candidate(0, 1, latent), "k", failure=failure, repaired=Evaluation(Candidate(0, 1, latent), "m"))
+    with create(tmp_path / "run.sqlite") as record:
+        record._connection.execute("DROP TABLE repairs")
+        with pytest.raises(RecordError):
+            record.add(lost, 0.0)
+        assert record.count() == 0

@@ -11,16 +11,13 @@ import pytest
 import evo.sizing as sizing
 from decoder.design import VoxelDesign
 from decoder.sketch import load_design
-from evo.sizing import End, Round, Sized, needs_of, sized
-from mfg.catalogue import Motor
-from mfg.component_file import Library, read_library
-from mfg.description import describe
+from evo.sizing import End, Round, Sized, sized
+from mfg.library import Library, read_library
+from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import score
 from mfg.selection import JointNeed, Margins, Needs, select, unmet
-from sim.gaits import GaitBudget, search_gait
-from sim.model import compile_model
-from sim.rollout import roll_out
+from sim.gaits import GaitBudget
 
 LIBRARY = read_library()
 TINY = GaitBudget(
@@ -127,18 +124,34 @@ def test_a_choice_that_never_settles_ends_after_the_rounds(monkeypatch, quadrupe
     assert "still changing after 4 rounds" in found.reason
 
 
-def test_needs_are_those_of_the_rollout(quadruped: VoxelDesign):
-    description = describe(score(quadruped).blueprint)
-    model = compile_model(description)
-    gait = search_gait(model, np.random.default_rng(3), TINY).gait
-    needs = needs_of(model, gait, 60.0, seconds=2.0)
-    rollout = roll_out(model, [gait], 2.0)
-    motor: Motor = description.joints[0].motor
-    assert [n.name for n in needs.joints] == [joint.name for joint in description.joints]
-    for k, need in enumerate(needs.joints):
-        share = (np.abs(rollout.torque[0, :, k]) <= need.peak_torque + 1e-12).mean()
-        assert 0.98 <= share <= 1.0
-        assert need.rms_torque == rollout.rms_torque[0, k]
-        assert need.rms_torque <= need.peak_torque <= rollout.peak_torque[0, k] + 1e-9 <= motor.peak_torque + 1e-6
-        assert 0.0 <= need.speed <= need.top_speed
-    assert 1 / len(needs.joints) <= needs.together <= 1.0
+def test_a_body_passes_if_some_choice_bears_the_robot_that_it_makes(monkeypatch, quadruped: VoxelDesign, robot: Sized):
+    assert (robot.end, robot.failure, robot.verdict.ok) == (End.FIXED, None, True)
+    light, heavy = (m for m in LIBRARY.motors if m.name in ("DM-J4310-2EC", "CyberGear"))
+    scripted(monkeypatch, {light.name: 8.0, heavy.name: 2.0})
+    kept = sized(quadruped, np.random.default_rng(1), LIBRARY.only([light, heavy]))
+    assert (kept.end, kept.failure, kept.verdict.ok) == (End.CYCLE, None, True)
+    assert kept.verdict.blueprint.catalogue.motor == heavy
+    assert "the choice did not repeat (cycle)" in kept.verdict.blueprint.notes[-1]
+    assert "did not repeat" not in robot.verdict.blueprint.notes[-1]
+    ladder = [replace(PAPER.motor, name=f"step {k}", mass=0.3 + k / 100, peak_torque=1.0 + k, continuous_torque=0.5,
+                      voltage_range=(18.0, 36.0)) for k in range(9)]  # fmt: skip
+    scripted(monkeypatch, {m.name: (m.peak_torque + 0.5) / 1.25 for m in ladder})
+    lost = sized(quadruped, np.random.default_rng(1), LIBRARY.only(ladder), rounds=3)
+    assert lost.outcome.ok
+    assert lost.failure == lost.verdict.failure == Failure(Stage.MOTOR, Reason.UNSETTLED, lost.reason)
+    assert lost.verdict.blueprint is lost.outcome.blueprint
+
+
+def test_no_other_controller_is_tried_where_the_motors_fail(quadruped: VoxelDesign):
+    huge = replace(PAPER.motor, name="huge", diameter=0.19, length=0.2, voltage_range=(18.0, 36.0))
+    tried: list[str] = []
+
+    def counted(design, catalogue):
+        tried.append(catalogue.computer.name)
+        return score(design, catalogue)
+
+    assert len(LIBRARY.controllers) > 1
+    found = sized(quadruped, np.random.default_rng(1), LIBRARY.only([huge]), solve=counted)
+    assert found.failure is not None
+    assert found.failure.stage in (Stage.SKELETON, Stage.MOTOR)
+    assert len(tried) == 1

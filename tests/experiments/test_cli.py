@@ -211,20 +211,31 @@ def test_a_command_to_come_is_told_from_a_mistyped_one(bodyplan, command):
 
 
 def test_the_catalogues_on_offer_exist():
-    from experiments.build import catalogue_of
-    from mfg.catalogue import Catalogue
+    from experiments.judging import judge_of
+    from mfg.library import read_library
+    from mfg.parts import PAPER
 
+    libraries = {"paper": None, "auto": read_library()}
+    assert set(libraries) == set(output.CATALOGUES)
     for name in output.CATALOGUES:
-        catalogue = catalogue_of(name)
-        assert isinstance(catalogue, Catalogue)
-        assert catalogue.name == name
+        judge = judge_of("search", name, None)
+        assert (judge.rules, judge.catalogue, judge.library) == ("search", PAPER, libraries[name])
+
+
+def test_the_rules_on_offer_are_those_of_the_pipeline():
+    from typing import get_args
+
+    from mfg.pipeline import RULES, Rules
+
+    assert output.SOLVERS == get_args(Rules) == tuple(RULES)
 
 
 @pytest.mark.parametrize("command", ["score", "build", "study", "simulate"])
 def test_solvers_and_components_can_be_chosen_wherever_designs_are_solved(bodyplan, command):
     said = bodyplan(command, "--help")
     assert "--solver {paper,search}" in said.out
-    assert "--catalogue {paper}" in said.out
+    assert "--catalogue {paper,auto}" in said.out
+    assert "--parts DIR" in said.out
 
 
 def test_a_seed_may_be_zero_and_must_fit_the_run_file():

@@ -3,7 +3,7 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import pytest
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from evo.fitness import FitnessRule
 from experiments import config as c
-from experiments import output
+from experiments import output, toml_document
 from experiments.output import BadInput
 from sim.gaits import SCREENING, THOROUGH
 
@@ -91,6 +91,10 @@ def evolve(**keys: Any) -> dict[str, Any]:
         (evolve(decoder=""), 'decoder = ""; it must be "vae" | "genome"'),
         (evolve(decoder=7), 'decoder = 7; it must be "vae" | "genome"'),
         (evolve(solver="seek"), 'solver = "seek"; it must be "paper" | "search"'),
+        ({"kind": "study", "repair": 1}, "repair = 1; it must be true | false"),
+        (evolve(parts="shelf"), 'parts = "shelf"; there is nothing to choose from them but with catalogue = "auto"'),
+        (evolve(parts="", catalogue="auto"), 'parts = ""; it must be a text that is not empty'),
+        (evolve(catalogue="atuo"), 'catalogue = "atuo"; it must be "paper" | "auto"; did you mean "auto"?'),
         (evolve(sed=1), "unknown key sed; did you mean seed?"),
         (evolve(search={"popsiz": 8}), "unknown key search.popsiz; did you mean popsize?"),
         (evolve(zzz=1), "unknown key zzz; known here are kind, seed, decoder"),
@@ -209,8 +213,5 @@ def test_defaults_are_those_of_the_library() -> None:
 
 
 def test_choices_are_those_of_the_command_line() -> None:
-    assert tuple(c._choices(c.DecoderName)) == output.DECODERS
+    assert tuple(toml_document.choices(c.DecoderName)) == output.DECODERS
     assert c.Evolve("evolve").decoder == c.Study("study").decoder == output.DEFAULT_DECODER
-    assert get_args(c.Solver) == output.SOLVERS
-    assert get_args(c.CatalogueName) == output.CATALOGUES
-    assert get_args(c.Prior) == output.PRIORS

@@ -17,6 +17,7 @@ import pytest
 from decoder.genome import GenomeDecoder
 from decoder.weights import Weights, load_weights, save_weights
 from evo.evaluation import Candidate, Evaluation, Walk
+from evo.judge import Judge
 from experiments import best, run, run_folder
 from mfg.outcome import Failure, Reason, Scores, Stage
 from mfg.parts import PAPER
@@ -76,7 +77,7 @@ def experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bodyplan: Comman
     monkeypatch.setattr("evo.evaluate.Evaluate", Fake)
     monkeypatch.setattr("evo.evaluate.EvaluateTwin", Fake)
     monkeypatch.setattr("evo.evaluate.decode", lambda *_: None)
-    monkeypatch.setattr("mfg.pipeline.build", lambda *_: None)
+    monkeypatch.setattr("evo.judge.Judge.build", lambda *_: None)
     monkeypatch.setattr(best, "write_best", write_best)
     monkeypatch.setattr(Fake, "lame", 0)
     monkeypatch.setattr(run, "_write_report", lambda folder: (folder / "report.html").write_text("<html>"))
@@ -209,7 +210,7 @@ def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
     with monkeypatch.context() as changed:
         if what == "components":
             heavier = replace(PAPER, motor=replace(PAPER.motor, mass=0.481))
-            changed.setattr("experiments.build.catalogue_of", lambda _: heavier)
+            changed.setattr("experiments.judging.judge_of", lambda *_, **__: Judge(catalogue=heavier))
         elif what == "solvers":
             changed.setattr("mfg.pipeline.RULES", {"paper": BUILDING[:-1]})
         else:

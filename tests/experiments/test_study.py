@@ -1,14 +1,20 @@
 from __future__ import annotations
 
+import csv
 import json
 import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from bodies import ellipsoid, painted
 
+from decoder.design import Joint
 from evo.evaluation import Candidate, Evaluation
+from evo.judge import DEFAULT_JUDGE
 from experiments import study
 from mfg.outcome import Failure, Reason, Scores, Stage
 
@@ -39,6 +45,22 @@ class Fake:
             stage, reason = (Stage.MOTOR, Reason.NO_OVERLAP) if candidate.index % 2 else (Stage.WIRE, Reason.NO_ROUTE)
             return Evaluation(candidate, key, Scores(0.5), Failure(stage, reason, "planted"))
         return Evaluation(candidate, key, Scores(0.5, 0.6, 0.7, 0.8, 0.9))
+
+
+class Mending(Fake):
+    """The same, and every other body that failed at its motor is mended."""
+
+    def __call__(self, candidate: Candidate) -> Evaluation:
+        found = super().__call__(candidate)
+        if found.passed:
+            return found
+        assert found.failure is not None
+        helped = found.failure.stage is Stage.MOTOR and candidate.index % 4 == 1
+        mended = Evaluation(
+            candidate, "mended" if helped else found.design, found.scores, None if helped else found.failure,
+            stages={"repair": 0.5}, changes=("segment 1 thicker (+3% bone)", "then scaled") if helped else (),
+        )  # fmt: skip
+        return replace(found, repaired=mended)
 
 
 @pytest.fixture
@@ -98,6 +120,98 @@ def test_a_study_leaves_what_the_contract_says(quick: Command, tmp_path: Path) -
     assert names >= {"config.toml", "study.sqlite", "study.json", "records.csv", "pass_through.csv", "report.html",
                      "pass_through.png", "scores.png", "failures.png"}  # fmt: skip
     assert (tmp_path / "s" / "pass_through.csv").read_text().splitlines()[-1].startswith("all,90,")
+
+
+def test_repaired_bodies_are_counted_apart_and_told(
+    quick: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plain = json.loads(quick("--json", out=tmp_path / "plain").out)
+    monkeypatch.setattr(study, "Score", Mending)
+    said = quick("--repair", "--json")
+    assert said.status == 0, said.err
+    result = json.loads(said.out)
+    assert plain["repaired"] is None
+    assert result["counts"] == plain["counts"]
+    assert rows(tmp_path / "s") == rows(tmp_path / "plain")
+    mended = result["repaired"]
+    assert set(mended["counts"]) == COUNTS
+    assert sum(mended["counts"].values()) == 90
+    helped = mended["counts"]["passed"] - plain["counts"]["passed"]
+    assert helped > 0
+    assert mended["counts"]["motor"] == plain["counts"]["motor"] - helped
+    assert mended["counts"]["wire"] == plain["counts"]["wire"]
+    assert mended["pass_rate"] == mended["counts"]["passed"] / 90
+    low, high = mended["pass_rate_95"]
+    assert low < mended["pass_rate"] < high
+    with (tmp_path / "s" / "records.csv").open() as file:
+        table = list(csv.DictReader(file))
+    changed = [row for row in table if row["changes"]]
+    assert len(changed) == helped
+    assert {(row["outcome"], row["repaired"]) for row in changed} == {("motor", "passed")}
+    assert {row["changes"] for row in changed} == {"segment 1 thicker (+3% bone); then scaled"}
+    assert all(row["repaired"] == row["outcome"] for row in table if not row["changes"])
+    lines = (tmp_path / "s" / "pass_through.csv").read_text().splitlines()
+    assert lines[0] == "stage,reached,failed,remaining,failed_after_repair"
+    assert [line.split(",")[-1] for line in lines if line.startswith(("motor", "all"))] == [
+        str(mended["counts"]["motor"]), str(90 - mended["counts"]["passed"]),
+    ]  # fmt: skip
+    report = (tmp_path / "s" / "report.html").read_text("utf-8")
+    assert f"Changed as little as helps, {mended['counts']['passed']} of them can be built" in report
+    assert "Changed as little" not in (tmp_path / "plain" / "report.html").read_text("utf-8")
+    told = quick("--repair", out=tmp_path / "told").out
+    assert f"{mended['counts']['passed']} of 90 bodies can be built once changed as little as helps" in told
+    assert f"{mended['counts']['motor']} after repair" in told
+
+
+def test_an_interrupted_study_says_all_that_its_continuation_needs(
+    quick: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(study, "Score", Mending)
+    assert quick("--repair", out=tmp_path / "undisturbed").status == 0
+    Fake.calls, Fake.stop_at = 0, 30
+    said = quick("--repair", "--solver", "search", "--catalogue", "auto")
+    assert said.status == 3
+    assert "--prior normal --solver search --catalogue auto --repair --out" in said.err
+    Fake.stop_at = 0
+    assert quick("--repair", "--resume").status == 2  # other rules than those it was begun with
+    assert quick("--repair", "--solver", "search", "--catalogue", "auto", "--resume").status == 0
+    both = (tmp_path / name for name in ("undisturbed", "s"))
+    assert len({tuple(repairs(folder)) for folder in both}) == 1
+
+
+def repairs(folder: Path) -> list[Any]:
+    with sqlite3.connect(folder / "study.sqlite") as connection:
+        found = connection.execute("SELECT id, design, stage, reason, changes FROM repairs ORDER BY id").fetchall()
+    connection.close()
+    return found
+
+
+def test_a_body_is_mended_by_the_rules_of_the_study() -> None:
+    joint = Joint(np.array([0.32, 0.32, 0.32]), np.array([0.0, 1.0, 0.0]), np.array([-0.6, 0.6]), 1, 2)
+    thin = painted([ellipsoid((21, 32, 32), (12, 11, 10)), ellipsoid((45, 32, 32), (11, 2.2, 2.2))], (joint,))
+    judged: list[str] = []
+
+    class Counting:
+        def score(self, design: Any) -> Any:
+            judged.append(design.key)
+            return DEFAULT_JUDGE.score(design)
+
+    class One:
+        def decode(self, _: Any) -> list[Any]:
+            return [thin]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "decoder_of", lambda _: One())
+        candidate = Candidate(0, 0, np.zeros(512, np.float32))
+        found = study.Score("genome", Counting(), repair=True)(candidate)  # type: ignore[arg-type]
+        plain = study.Score("genome", DEFAULT_JUDGE)(candidate)
+    assert found.failure == plain.failure is not None
+    assert plain.repaired is None
+    assert found.repaired is not None
+    assert found.repaired.passed
+    assert found.repaired.changes
+    assert found.repaired.design != thin.key
+    assert judged.count(thin.key) == 1
 
 
 def test_for_people_it_ends_with_the_table(quick: Command) -> None:
@@ -161,7 +275,7 @@ def test_pictures_of_designs_that_passed_and_failed(tmp_path: Path) -> None:
 
     config = Study("study", n=3, seed=1, decoder="genome")
     latents = study._latents(config)
-    scorer = study.Score("genome", "paper")
+    scorer = study.Score("genome", DEFAULT_JUDGE)
     evaluations = [scorer(Candidate(0, k, latents[k])) for k in range(2)]
     study._draw_examples(config, evaluations, tmp_path / "sheet.png", 0)
     assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")

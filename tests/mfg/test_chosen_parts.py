@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from decoder.sketch import load_design
-from mfg.component_file import read_library
 from mfg.component_looks import Looks
 from mfg.description import describe
 from mfg.export import blueprint_files
+from mfg.library import read_library
 from mfg.manifest import component_json, read_description
 from mfg.mounts import mount_of
 from mfg.parts import PAPER

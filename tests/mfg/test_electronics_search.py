@@ -147,7 +147,7 @@ def test_the_closest_miss_names_bone_shortfall_and_remedy_and_the_remedy_works()
     assert "by 1 voxel across its z" in answer.detail
     miss = closest_miss(thin)
     assert miss is not None
-    assert (miss.body, miss.shortfall) == (0, pytest.approx(0.002, abs=2e-4))
+    assert (miss.bodies, miss.shortfall) == ((0,), pytest.approx(0.002, abs=2e-4))
     assert np.abs(miss.direction) == pytest.approx([0, 0, 1], abs=0.05)
     grown = blueprint_of([box_bone((0.3, 0.3, 0.305), (0.2, 0.2, 0.048))])
     check_exactly(solved(grown))

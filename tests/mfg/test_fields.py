@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
-from mfg.fields import OUTSIDE, Field, box_depth, coverage, cylinder_depth, cylindrical
+from mfg.fields import BLOCK, MANY, OUTSIDE, Field, box_depth, coverage, cylinder_depth, cylindrical
 
 
 def ball(
@@ -25,6 +27,49 @@ def test_sampling_is_exact_on_the_lattice_and_outside_beyond_it() -> None:
     field = ball(0.03)
     np.testing.assert_allclose(field.sample(field.points()), field.values, atol=1e-7)
     assert field.sample(np.array([[1.0, 0.0, 0.0]]))[0] == OUTSIDE
+
+
+@pytest.mark.parametrize("count", [1, MANY - 1, MANY, 3 * BLOCK + 1])
+def test_sampling_is_trilinear_however_many_points_are_asked_for(count: int) -> None:
+    rng = np.random.default_rng(count)
+    field = Field(rng.normal(size=(5, 7, 4)).astype(np.float32), (3, -2, 11), 0.005)
+    index = rng.uniform(-1, 1, (count, 3)) * (4, 6, 5) + (2, 3, 1.5)
+    edges = rng.integers(0, 4, (count, 3)) == 0
+    index[edges] = rng.choice([0.0, 1.0], edges.sum()) * np.broadcast_to((4.0, 6.0, 3.0), index.shape)[edges]
+    points = (index + field.corner) * field.spacing
+    index = (points - field.origin) / field.spacing  # as rounding leaves it
+    expected = np.full(count, OUTSIDE)
+    inside = np.flatnonzero(((index >= 0) & (index <= (4, 6, 3))).all(axis=1))
+    low = np.minimum(np.floor(index[inside]).astype(int), (3, 5, 2))
+    share = index[inside] - low
+    expected[inside] = 0.0
+    for corner in itertools.product((0, 1), repeat=3):
+        weight = np.where(corner, share, 1 - share).prod(axis=1)
+        expected[inside] += weight * field.values[tuple((low + corner).T)]
+    np.testing.assert_allclose(field.sample(points), expected, atol=1e-6)
+    np.testing.assert_array_equal(field.sample(points.reshape(1, count, 1, 3))[0, :, 0], field.sample(points))
+
+
+@pytest.mark.parametrize("count", [0, 5, BLOCK + 3])
+def test_the_slope_is_that_of_the_sampled_depth(count: int) -> None:
+    rng = np.random.default_rng(count)
+    field = Field(rng.normal(size=(6, 5, 7)).astype(np.float32), (2, -3, 4), 0.005)
+    cell, share = rng.integers(0, (5, 4, 6), (count, 3)), rng.uniform(0.1, 0.9, (count, 3))
+    points = (cell + share + field.corner) * field.spacing
+    depth, slope = field.sloped(points)
+    np.testing.assert_allclose(depth, field.sample(points), atol=1e-6)
+    step = 0.05 * field.spacing  # within the cell, where the depth is linear along every axis
+    for axis, way in enumerate(np.eye(3) * step):
+        rise = field.sample(points + way) - field.sample(points - way)
+        np.testing.assert_allclose(slope[:, axis], rise / (2 * step), atol=0.02)
+    beyond = field.sloped(points[:1] + 1.0)
+    assert (beyond[0] == OUTSIDE).all()
+    assert (beyond[1] == 0).all()
+
+
+def test_points_far_beyond_a_lattice_are_outside() -> None:
+    far = np.array([[1.0, -1.0, 0.0], [1e6, 1e6, 1e6], [-1e6, 3.0, 2.0]]).repeat(MANY, axis=0)
+    assert (ball(0.03).sample(far) == OUTSIDE).all()
 
 
 def test_lattice_transfer_agrees_with_sampling() -> None:

@@ -1,16 +1,27 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from mfg.blueprint import Crossing, WireRun
 from mfg.description import describe
 from mfg.export import blueprint_files
-from mfg.manifest import NAME, ManifestError, changed_files, read_description, read_manifest
+from mfg.manifest import (
+    NAME,
+    ManifestError,
+    changed_files,
+    manifest,
+    manifest_bytes,
+    read_description,
+    read_manifest,
+)
 from mfg.pipeline import Outcome
+from mfg.plate import Lay
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +62,35 @@ def test_the_manifest_says_what_was_built(content: bytes, built: Outcome) -> Non
         assert stored["volume"] == part.solid.volume
         assert_allclose(stored["bounds_mm"], part.solid.bounds * 1e3, atol=1e-4)
     assert document["robot"]["mass"] == pytest.approx(sum(body["mass"] for body in document["bodies"]))
+
+
+def test_cables_come_back_with_their_slack_and_every_joint_that_they_cross(built: Outcome, tmp_path: Path) -> None:
+    blueprint = built.blueprint
+    rng = np.random.default_rng(3)
+
+    def crossing(hinge: int) -> Crossing:
+        a, b, span, slack = (float(v) for v in rng.uniform(0.01, 0.1, 4))
+        return Crossing(hinge, rng.uniform(0, 0.6, 3), span, (a, b), slack)
+
+    first, second = blueprint.wires
+    lays = [Lay(0, np.eye(4), np.ones(3))] * len(blueprint.bodies)
+    wires = replace(first, crossings=(crossing(1), crossing(0))), replace(second, crossings=())
+    document = manifest(replace(blueprint, wires=wires), describe(blueprint), lays, {})
+    (tmp_path / NAME).write_bytes(manifest_bytes(document))
+    stored = read_manifest(tmp_path)["wires"]
+    seat = {hinge.name: k for k, hinge in enumerate(blueprint.hinges)}
+    for wire, row in zip(wires, stored, strict=True):
+        crossings = tuple(
+            Crossing(seat[c["joint"]], np.array(c["position"]), c["span"], tuple(c["needed"]), c["slack"])
+            for c in row["crossings"]
+        )
+        again = WireRun(row["name"], seat[row["joint"]], np.array(row["path"]), row["radius"], crossings)
+        assert (again.name, again.seat, again.radius, again.slack) == (wire.name, wire.seat, wire.radius, wire.slack)
+        assert (row["slack"], row["cable_length"]) == (wire.slack, wire.cable_length)
+        assert_allclose(again.path, wire.path, atol=5.1e-7)
+        for a, b in zip(again.crossings, wire.crossings, strict=True):
+            assert (a.hinge, a.span, a.needed, a.slack) == (b.hinge, b.span, b.needed, b.slack)
+            assert_allclose(a.position, b.position, atol=5.1e-7)
 
 
 @pytest.mark.parametrize(

@@ -108,8 +108,9 @@ def test_a_thin_neck_is_refused_with_factor_bound_and_remedy(neck: VoxelDesign) 
     assert "needs 2.00" in failure.detail
     assert "thicken segment 2" in failure.detail
     assert failure.miss is not None
-    assert (failure.miss.joint, failure.miss.segment, failure.miss.remedy) == (0, 2, "thicken_near_joint")
-    assert 0 < failure.miss.short_factor <= 1
+    assert (failure.miss.joints, failure.miss.bodies, failure.miss.remedy) == ((0,), (1,), "thicken_near_joint")
+    assert (failure.miss.what, failure.miss.unit, failure.miss.need) == ("safety factor", "1", 2.0)
+    assert 0 <= failure.miss.have < 2.0
 
 
 def test_a_neck_that_is_stout_enough_passes(neck: VoxelDesign) -> None:
@@ -132,9 +133,9 @@ def test_bones_out_of_reach_name_the_body_and_the_distance() -> None:
     assert failure.reason == Reason.NO_OVERLAP
     assert "grow segment 2" in failure.detail
     assert failure.miss is not None
-    assert failure.miss.segment == 2
-    assert failure.miss.short_length > 0
-    assert failure.miss.short_volume == pytest.approx(SearchMotorSolver().min_overlap, rel=0.2)
+    assert failure.miss.bodies == (1,)
+    assert failure.miss.grow > 0
+    assert failure.miss.shortfall == pytest.approx(SearchMotorSolver().min_overlap, rel=0.2)
 
 
 def test_two_joints_in_one_place_collide_and_both_are_named() -> None:
@@ -150,7 +151,7 @@ def test_two_joints_in_one_place_collide_and_both_are_named() -> None:
     assert "joint_1" in failure.detail
     assert "joint_2" in failure.detail
     assert failure.miss is not None
-    assert {failure.miss.joint, failure.miss.other} == {0, 1}
+    assert set(failure.miss.joints) == {0, 1}
 
 
 def test_walls_grow_only_as_far_as_the_mounts_need(creature: VoxelDesign) -> None:

@@ -23,7 +23,7 @@ def thin() -> VoxelDesign:
 
 
 def test_a_body_that_can_be_built_is_left_alone(hinge: VoxelDesign) -> None:
-    found = repaired(hinge, score)
+    found = repaired(score(hinge), score)
     assert found.ok
     assert found.changes == ()
     assert found.tried == 1
@@ -34,7 +34,7 @@ def test_a_thin_arm_is_thickened_where_it_lacks_bone(thin: VoxelDesign) -> None:
     before = score(thin)
     assert before.failure is not None
     assert before.failure.stage is Stage.MOTOR
-    found = repaired(thin, score)
+    found = repaired(score(thin), score)
     assert found.ok
     assert found.changes
     assert found.outcome.design.key == found.changes[-1].design.key
@@ -47,7 +47,7 @@ def test_a_thin_arm_is_thickened_where_it_lacks_bone(thin: VoxelDesign) -> None:
 def test_the_smallest_change_that_helps_is_taken(thin: VoxelDesign) -> None:
     outcome = score(thin)
     assert outcome.failure is not None
-    found = repaired(thin, score, rounds=1)
+    found = repaired(outcome, score, rounds=1)
     if found.ok:
         smaller = [c for c in candidates(outcome, outcome.failure) if c.size < found.changes[0].size]
         assert not any(score(c.design).ok for c in smaller)
@@ -75,7 +75,7 @@ def test_what_nothing_mends_keeps_its_own_failure(thin: VoxelDesign) -> None:
     def never(design: VoxelDesign) -> Outcome:
         return replace(score(design), failure=Failure(Stage.MOTOR, Reason.NO_OVERLAP, "joint_1: never enough"))
 
-    found = repaired(thin, never, rounds=2)
+    found = repaired(never(thin), never, rounds=2)
     assert not found.ok
     assert found.changes == ()
     assert found.outcome.design.key == thin.key
@@ -89,5 +89,36 @@ def test_a_body_too_large_for_the_printer_shrinks(hinge: VoxelDesign) -> None:
     outcome = score(large)
     assert outcome.failure is not None
     assert outcome.failure.reason is Reason.TOO_LARGE
-    found = repaired(large, score)
+    found = repaired(outcome, score)
     assert all("scaled by 0." in change.what for change in found.changes)
+
+
+def test_the_given_body_is_not_judged_again(thin: VoxelDesign) -> None:
+    judged: list[str] = []
+
+    def judge(design: VoxelDesign) -> Outcome:
+        judged.append(design.key)
+        return score(design)
+
+    found = repaired(score(thin), judge)
+    assert thin.key not in judged
+    assert found.tried == len(judged) + 1
+
+
+def test_only_what_the_miss_blames_grows_and_its_words_do_not_matter(thin: VoxelDesign) -> None:
+    outcome = score(thin)
+    assert outcome.failure is not None
+    assert outcome.failure.miss is not None
+    assert outcome.failure.miss.joints == (0,)
+    renamed = replace(outcome.failure, detail="something else")
+    told = [change.what for change in candidates(outcome, outcome.failure)]
+    assert told == [change.what for change in candidates(outcome, renamed)]
+    assert any("near joint_1" in what for what in told)
+    blind = [change.what for change in candidates(outcome, replace(outcome.failure, miss=None))]
+    assert blind
+    assert all("scaled" in what for what in blind)
+    body = replace(outcome.failure.miss, joints=(), bodies=(1,))
+    grown = [change.what for change in candidates(outcome, replace(outcome.failure, miss=body))]
+    assert {what for what in grown if "scaled" not in what} == {
+        f"segment 2 (body_1) thicker by {k} voxel(s) all over" for k in (1, 2, 3)
+    }

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mfg.catalogue import Battery, Motor
-from mfg.component_file import read_library
+from mfg.library import read_library
 from mfg.parts import PAPER
 from mfg.robot_files import STALL_OVER_PEAK
 from mfg.selection import (

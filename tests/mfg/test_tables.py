@@ -4,9 +4,11 @@ import csv
 import io
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mfg.addresses import MAX_BUS, can_address, turn_sign
+from mfg.blueprint import Crossing
 from mfg.masses import body_masses
 from mfg.pipeline import Outcome
 from mfg.slicer import PlateSlice, SliceReport
@@ -46,6 +48,19 @@ def test_every_motor_has_one_cable_and_one_address(built: Outcome) -> None:
     assert len({(row["bus"], row["can_id"]) for row in table}) == len(blueprint.seats)
     for row, wire in zip(table, blueprint.wires, strict=True):
         assert float(row["length_mm"]) == pytest.approx(1e3 * wire.length, abs=0.5)
+
+
+def test_the_slack_in_a_cable_is_named_by_joint(built: Outcome) -> None:
+    blueprint = built.blueprint
+    first, second = blueprint.wires
+    crossings = tuple(
+        Crossing(hinge, np.zeros(3), 0.02, (0.02, 0.03), slack) for hinge, slack in ((1, 0.012), (0, 0.02))
+    )
+    slack = replace(blueprint, wires=(replace(first, crossings=crossings), replace(second, crossings=())))
+    a, b = rows(wiring_table(slack))
+    assert (a["slack_mm"], b["slack_mm"]) == ("joint_2:12 joint_1:20", "")
+    assert float(a["length_mm"]) == pytest.approx(1e3 * first.length + 32, abs=0.5)
+    assert float(b["length_mm"]) == pytest.approx(1e3 * second.length, abs=0.5)
 
 
 def test_addresses_never_repeat_and_stay_within_four_bits() -> None:

@@ -174,20 +174,37 @@ def test_a_taut_string_is_the_shortest_around_the_mount(a: float, b: float, f: f
 def test_searches_that_count_what_is_added_find_the_same_lengths(robot: Blueprint) -> None:
     margins = Margins(RADIUS, SOLVER.gap, SOLVER.wall)
     graph = RouteGraph(robot, RouteField.of(robot, margins), margins, SOLVER.approach)
-    tree = graph.tree(2, [], 0.0, set())
+    tree = graph.tree(2, graph.taken(2, [], 0.0), set())
     assert tree is not None
-    indptr, column, weight = graph.rows
+    row, step = np.nonzero(np.isfinite(graph.weight))
+    column, weight = graph.column[row, step], graph.weight[row, step]
     node = graph.ends[2].node
     n = len(graph.cells)
     arcs = tree.cost - graph.rest[node]
     least = {int(end): float(arcs[node == end].min()) for end in np.unique(node)}
-    tails = np.concatenate([np.repeat(np.arange(n), np.diff(indptr)), np.full(len(least), n)])
+    tails = np.concatenate([row, np.full(len(least), n)])
     heads = np.concatenate([column, list(least)])
     plain = sparse.coo_matrix((np.concatenate([weight, list(least.values())]), (tails, heads)), shape=(n + 1, n + 1))
     length = csgraph.dijkstra(plain.tocsr(), indices=[n])[0, :n]
     known = np.isfinite(tree.length)
     assert known[graph.starts.node].any()
     assert tree.length[known] == pytest.approx(length[known], rel=1e-6, abs=1e-4)
+
+
+def test_what_a_tunnel_takes_is_all_that_is_nearer_to_it_than_it_must_be(robot: Blueprint) -> None:
+    margins = Margins(RADIUS, SOLVER.gap, SOLVER.wall)
+    graph = RouteGraph(robot, RouteField.of(robot, margins), margins, SOLVER.approach)
+    start = graph.points[len(graph.points) // 2]
+    paths = [
+        start + np.linspace(0, 1, 120)[:, None] * v for v in ((0.3, 0.1, 0.05), (-0.4, 0.2, 0.0))
+    ]  # out of it, too
+    for apart in (0.004, 0.0125):
+        taken = graph.taken(0, paths, apart)
+        nearest = np.linalg.norm(graph.points[:, None] - np.concatenate(paths), axis=2).min(axis=1)
+        assert (taken.cells == (nearest < apart)).all()
+        assert taken.cells.any()
+        assert not taken.cells.all()
+    assert not graph.taken(0, [], 0.01).cells.any()
 
 
 def test_the_field_is_the_distance_to_what_is_in_the_way(robot: Blueprint) -> None:

@@ -15,6 +15,7 @@ from sim.environment import TEN_SECONDS, Environment
 from sim.herd import with_latency_room
 from sim.learning import USUAL, Unlearnable, Vector
 from sim.model import make_spec
+from sim.skin import Fidelity
 from sim.tasks import Goal, Task
 from sim.training import (
     Race,
@@ -25,6 +26,7 @@ from sim.training import (
     evaluate,
     headings,
     mean_reward,
+    shared_out,
     start_of,
     starts,
 )  # fmt: skip
@@ -77,6 +79,44 @@ def test_a_resumed_training_is_the_uninterrupted_one(model: Any, whole: Trainer)
     later.restore(half.state())
     later.advance()
     assert bytes_of(later) == bytes_of(whole)
+
+
+@pytest.fixture(scope="module")
+def sprung(quadruped: Description) -> Any:
+    links = tuple(replace(link, skin_thickness=0.02) for link in quadruped.links)
+    return with_latency_room(make_spec(replace(quadruped, links=links), fidelity=Fidelity.SPRUNG))
+
+
+def test_a_share_of_the_experience_is_on_other_models(model: Any, sprung: Any, whole: Trainer) -> None:
+    trainer = run(model, others=(sprung,))
+    assert [part.count for part in trainer.environment.parts] == [3, 1]
+    assert trainer.environment.parts[1].model is sprung
+    assert bytes_of(run(model, others=(sprung,), nthread=2)) == bytes_of(trainer) != bytes_of(whole)
+    half = run(model, chunks=2, others=(sprung,))
+    later = Trainer(model, SMALL, start_of(half.state()), others=(sprung,))
+    later.restore(half.state())
+    later.advance()
+    assert bytes_of(later) == bytes_of(trainer)
+
+
+def test_every_model_has_its_share() -> None:
+    assert shared_out(64, 0) == [64]
+    assert shared_out(64, 1) == [47, 17]
+    assert shared_out(10, 2) == [6, 2, 2]
+    assert all(sum(shared_out(n, k)) == n and min(shared_out(n, k)) > 0 for n in range(4, 70) for k in range(3))
+
+
+def test_an_evaluation_has_episodes_on_other_models(model: Any, sprung: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Any, int]] = []
+
+    def randomised(robot: Any, *_: Any, episodes: int, **__: Any) -> list[None]:
+        asked.append((robot, episodes))
+        return [None] * episodes
+
+    monkeypatch.setattr("sim.training.randomised", randomised)
+    verdict = evaluate(model, Trainer(model, SMALL, FREE).actor(), SMALL, others=(sprung,))
+    assert asked == [(model, 7), (sprung, 3)]
+    assert verdict.lost == verdict.episodes == 10
 
 
 def test_the_exported_policy_says_what_the_learner_means(whole: Trainer) -> None:
