@@ -65,8 +65,8 @@ def _shortfall(seat: MotorSeat, other: MotorSeat, mount: Mount) -> float:
             continue
         T, U = seat.T_design_motor, other.T_design_motor
         local = (room.points @ T[:3, :3].T + (T[:3, 3] - U[:3, 3])) @ U[:3, :3]
-        local = local.astype(np.float32)
-        radial, along = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+        radial = np.hypot(local[:, 0], local[:, 1]).astype(np.float32)
+        along = local[:, 2].astype(np.float32)
         met = np.zeros(len(local), bool)
         for there, depth in ((cup, cup_depth), (disc, disc_depth)):
             if there:
