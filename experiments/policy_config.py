@@ -54,12 +54,12 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
 
         from sim.environment import TEN_SECONDS
         from sim.learning import USUAL
-        from sim.randomisation import RANDOMISED
+        from sim.randomisation import WIDE
         from sim.tasks import STEADY, Goal
         from sim.training import Training
 
         task = replace(STEADY, goal=Goal(self.task), target_speed=self.target_speed)
         return Training(
             self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
-            RANDOMISED if self.randomise else None, replace(TEN_SECONDS, history=self.history),
+            WIDE if self.randomise else None, replace(TEN_SECONDS, history=self.history),
         )  # fmt: skip

@@ -284,6 +284,7 @@ def _conclude(
     from hardware.bundle import save_bundle
     from sim.behaviour import motor_limits, motor_uses, motor_warnings
     from sim.closed_loop import roll_out_actor
+    from sim.randomisation import RANDOMISED
     from sim.rollout import measure
     from sim.training import randomised
     from sim.video import save_strip, save_video
@@ -296,7 +297,7 @@ def _conclude(
     if behaviour is None:
         raise Impossible(f"the physics of {config.robot} explodes under the trained policy")
     save_bundle(folder, bundle_of(description, actor, config_hash=digest), source)
-    trials = randomised(model, actor, trainer.ranges, config.seed + FINAL, seconds=EPISODE, nthread=trainer.nthread)
+    trials = randomised(model, actor, RANDOMISED, config.seed + FINAL, seconds=EPISODE, nthread=trainer.nthread)
     alive = [trial for trial in trials if trial is not None]
     falls = len(trials) - sum(not trial.fell for trial in alive)
     uses = motor_uses(model, rollouts)
