@@ -37,7 +37,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
     steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_500_000
-    starts: Annotated[int, Meta(ge=1, le=16)] = 4
+    starts: Annotated[int, Meta(ge=1, le=16)] = 5
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 90_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64

@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--steps", type=int, help="control periods of experience (1500000)")
-    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
+    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (5)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
     parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
