@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body, Hinge
 from mfg.bones import largest_piece
-from mfg.fields import OUTSIDE, Field, coverage
+from mfg.fields import OUTSIDE, Field, Window, coverage
 from mfg.miss import Miss
 from mfg.mounts import motor_pose
 from mfg.outcome import Failure, Reason, Stage
@@ -159,6 +159,13 @@ class CylindricalPair:
         )
         return CylindricalPair(parent.sample(points), child.sample(points), frame, radius, height, 2 * np.pi / count)
 
+    def window(self, field: Field, position: NDArray[np.float64]) -> Window | None:
+        """The samples of a field around the grid, or None where there are none; `position` is the hinge's [m]."""
+        axis, radius = self.frame[2], self.radius[-1]
+        half = (self.height[-1] - self.height[0]) / 2
+        reach = np.abs(axis) * half + np.sqrt(np.maximum(1 - axis * axis, 0)) * radius + field.spacing
+        return field.window(position + (self.height[0] + half) * axis, reach)
+
     def interference(self) -> NDArray[np.float64]:
         """Overlap volume of the bones with the child turned by k steps, for every k [m3]."""
         width = float(self.radius[1] - self.radius[0])
@@ -191,6 +198,14 @@ def _running_maximum(values: NDArray[np.float32], ahead: int, behind: int) -> ND
     return np.maximum(window[:, :count], window[:, last : last + count])
 
 
+def _common(one: Window, other: Window | None) -> Window | None:
+    """What two windows share, or None."""
+    if other is None:
+        return None
+    x, y, z = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return (x, y, z) if x.start < x.stop and y.start < y.stop and z.start < z.stop else None
+
+
 def feasible(
     interference: NDArray[np.float64], wanted: NDArray[np.float64], allowed: float, step: float
 ) -> tuple[float, float]:
@@ -214,13 +229,16 @@ def carve(
     solid = field.values > -2 * field.spacing
     if not solid.any():
         return body, 1.0
-    window = bounding_window(solid)[1]
+    window = _common(bounding_window(solid)[1], pair.window(field, hinge.position))
+    if window is None:
+        bone, lost = largest_piece(field)
+        return replace(body, bone=bone), lost
     x, y, z = (a - np.float32(c) for a, c in zip(field.axes(window), hinge.position, strict=True))
     u, v, height = (x * np.float32(e[0]) + y * np.float32(e[1]) + z * np.float32(e[2]) for e in pair.frame)
     radius = np.hypot(u, v)
     ring = (radius - pair.radius[0]) / (pair.radius[1] - pair.radius[0])
     level = (height - pair.height[0]) / (pair.height[1] - pair.height[0])
-    # What lies beyond the grid of the pair is nowhere near the sweep.
+    # What lies beyond the grid of the pair is nowhere near the sweep: its corners, too.
     met = np.nonzero((ring >= 0) & (ring <= len(pair.radius) - 1) & (level >= 0) & (level <= len(pair.height) - 1))
     angle = np.mod(np.arctan2(v[met], u[met]), np.float32(2 * np.pi))
     wrapped = np.concatenate([swept, swept[:, :1]], axis=1)

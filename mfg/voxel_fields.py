@@ -136,8 +136,9 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float, st
     least = np.minimum(a, b)
     if radius <= 0 or min(a.shape) < 3:
         return least
-    # Nothing else is both in a body and near enough to an edge; further outside, the sign is all that counts.
-    mask = (least > -radius) & (np.maximum(a, b) < 2 * radius)
+    # Nothing else is both in a body and near enough to an edge; further outside, the sign is all that counts. And
+    # whatever the angle, an edge is nearest only where u + v > 0.
+    mask = (least > -radius) & (np.maximum(a, b) < 2 * radius) & (a + b < 2 * radius)
     if not mask.any():
         return least
     # Slopes are taken around those samples only, and at the places where slopes over the whole would be.
