@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from mfg.blueprint import Blueprint, Body, Hinge
 from mfg.bones import largest_piece
-from mfg.fields import OUTSIDE, Field, coverage
+from mfg.fields import OUTSIDE, Field, Window, coverage
 from mfg.miss import Miss
 from mfg.mounts import motor_pose
 from mfg.outcome import Failure, Reason, Stage
@@ -94,6 +94,33 @@ def rounded(field: Field, width: float) -> Field:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Reaches:
+    """How far bones reach about axes, each worked out once. A field stands for its bone: carving makes a new one.
+
+    Attributes:
+        points: of every bone, its samples inside and just outside of it in the design frame [m], (n, 3).
+        known: by bone and axis, least and greatest distance from the axis, least and greatest height along it [m].
+    """
+
+    points: dict[Field, NDArray[np.float64]] = field(default_factory=dict)
+    known: dict[tuple[Field, bytes], tuple[float, float, float, float]] = field(default_factory=dict)
+
+    def of(
+        self, bone: Field, centre: NDArray[np.float64], frame: NDArray[np.float64]
+    ) -> tuple[float, float, float, float]:
+        """Reach of a bone about the third row of a frame (3, 3) through a point [m]."""
+        key = bone, centre.tobytes() + frame.tobytes()
+        if key not in self.known:
+            if bone not in self.points:
+                near = np.argwhere(bone.values > -bone.spacing)
+                self.points[bone] = np.asarray((near + bone.corner) * bone.spacing, np.float64)
+            local = (self.points[bone] - centre) @ frame.T
+            radius, height = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+            self.known[key] = float(radius.min()), float(radius.max()), float(height.min()), float(height.max())
+        return self.known[key]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class CylindricalPair:
     """Depths of two bones on a common (radius, angle, height) grid about a hinge axis."""
 
@@ -106,11 +133,15 @@ class CylindricalPair:
 
     @staticmethod
     def sample(
-        parent: Field, child: Field, hinge: Hinge, angle_step: float, radial_step: float
+        parent: Field, child: Field, hinge: Hinge, angle_step: float, radial_step: float, reaches: Reaches | None = None
     ) -> CylindricalPair | None:
-        """Sample two bones, or give None where no circle about the axis meets both."""
+        """Sample two bones, or give None where no circle about the axis meets both.
+
+        What is found about the reach of a bone is looked up in `reaches` and left there.
+        """
         frame = motor_pose(hinge.position, hinge.axis, 0.0)[:3, :3].T
-        reach = [_reach(f, hinge.position, frame) for f in (parent, child)]
+        reaches = reaches or Reaches()
+        reach = [reaches.of(bone, hinge.position, frame) for bone in (parent, child)]
         r_low, r_high = max(r[0] for r in reach), min(r[1] for r in reach)
         z_low, z_high = max(r[2] for r in reach), min(r[3] for r in reach)
         step = radial_step
@@ -127,6 +158,13 @@ class CylindricalPair:
             + height[None, None, :, None] * frame[2]
         )
         return CylindricalPair(parent.sample(points), child.sample(points), frame, radius, height, 2 * np.pi / count)
+
+    def window(self, field: Field, position: NDArray[np.float64]) -> Window | None:
+        """The samples of a field around the grid, or None where there are none; `position` is the hinge's [m]."""
+        axis, radius = self.frame[2], self.radius[-1]
+        half = (self.height[-1] - self.height[0]) / 2
+        reach = np.abs(axis) * half + np.sqrt(np.maximum(1 - axis * axis, 0)) * radius + field.spacing
+        return field.window(position + (self.height[0] + half) * axis, reach)
 
     def interference(self) -> NDArray[np.float64]:
         """Overlap volume of the bones with the child turned by k steps, for every k [m3]."""
@@ -160,11 +198,12 @@ def _running_maximum(values: NDArray[np.float32], ahead: int, behind: int) -> ND
     return np.maximum(window[:, :count], window[:, last : last + count])
 
 
-def _reach(field: Field, centre: NDArray[np.float64], frame: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    inside = np.argwhere(field.values > -field.spacing)
-    local = ((inside + field.corner) * field.spacing - centre) @ frame.T
-    radius = np.hypot(local[:, 0], local[:, 1])
-    return float(radius.min()), float(radius.max()), float(local[:, 2].min()), float(local[:, 2].max())
+def _common(one: Window, other: Window | None) -> Window | None:
+    """What two windows share, or None."""
+    if other is None:
+        return None
+    x, y, z = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return (x, y, z) if x.start < x.stop and y.start < y.stop and z.start < z.stop else None
 
 
 def feasible(
@@ -190,20 +229,22 @@ def carve(
     solid = field.values > -2 * field.spacing
     if not solid.any():
         return body, 1.0
-    window = bounding_window(solid)[1]
+    window = _common(bounding_window(solid)[1], pair.window(field, hinge.position))
+    if window is None:
+        bone, lost = largest_piece(field)
+        return replace(body, bone=bone), lost
     x, y, z = (a - np.float32(c) for a, c in zip(field.axes(window), hinge.position, strict=True))
     u, v, height = (x * np.float32(e[0]) + y * np.float32(e[1]) + z * np.float32(e[2]) for e in pair.frame)
     radius = np.hypot(u, v)
-    angle = np.mod(np.arctan2(v, u), np.float32(2 * np.pi))
+    ring = (radius - pair.radius[0]) / (pair.radius[1] - pair.radius[0])
+    level = (height - pair.height[0]) / (pair.height[1] - pair.height[0])
+    # What lies beyond the grid of the pair is nowhere near the sweep: its corners, too.
+    met = np.nonzero((ring >= 0) & (ring <= len(pair.radius) - 1) & (level >= 0) & (level <= len(pair.height) - 1))
+    angle = np.mod(np.arctan2(v[met], u[met]), np.float32(2 * np.pi))
     wrapped = np.concatenate([swept, swept[:, :1]], axis=1)
-    index = np.stack(
-        [
-            (radius - pair.radius[0]) / (pair.radius[1] - pair.radius[0]),
-            angle / pair.step,
-            (height - pair.height[0]) / (pair.height[1] - pair.height[0]),
-        ]
-    )
-    inside = ndimage.map_coordinates(wrapped, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
+    index = np.stack([ring[met], angle / pair.step, level[met]])
+    inside = np.full(radius.shape, OUTSIDE, np.float32)
+    inside[met] = ndimage.map_coordinates(wrapped, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE))
     values = field.values.copy()
     values[window] = np.minimum(values[window], -inside - np.float32(gap))
     bone, lost = largest_piece(field.with_values(values))

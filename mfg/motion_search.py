@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mfg.blueprint import Blueprint, Body, Hinge
-from mfg.fields import Field
 from mfg.miss import Miss
-from mfg.motion import CylindricalPair, carve, feasible, rounded
+from mfg.motion import CylindricalPair, Reaches, carve, feasible, rounded
 from mfg.outcome import Failure, Reason, Stage
 
 
@@ -49,7 +48,7 @@ class SearchMotionSolver:
         """Return the blueprint with collision-free `hinges` and carved bones, or a motor failure."""
         bodies, hinges = list(blueprint.bodies), []
         volumes = [body.bone.volume() for body in bodies]
-        moved = _moved(blueprint)
+        moved, reaches = _moved(blueprint), Reaches()
         for k, hinge in enumerate(blueprint.hinges):
             least = np.clip(hinge.range, -self.minimum, self.minimum)
             low, high = (float(v) for v in hinge.range)
@@ -58,7 +57,9 @@ class SearchMotionSolver:
                 if standing in moved[k]:
                     continue
                 joined = (standing, moving) == (hinge.parent, hinge.body)
-                pair = self._pair(bodies[standing].bone, bodies[moving].bone, hinge, joined)
+                step = self.radial_step if joined else self.far_step
+                bones = bodies[standing].bone, bodies[moving].bone
+                pair = CylindricalPair.sample(*bones, hinge, self.angle_step, step, reaches)
                 if pair is None:
                     continue
                 allowed = self.touch * min(volumes[standing], volumes[moving])
@@ -79,11 +80,6 @@ class SearchMotionSolver:
                 bodies[carved] = body
             hinges.append(replace(hinge, range=np.array([low, high])))
         return replace(blueprint, bodies=tuple(self._smooth(body) for body in bodies), hinges=tuple(hinges))
-
-    def _pair(self, standing: Field, moving: Field, hinge: Hinge, joined: bool) -> CylindricalPair | None:
-        return CylindricalPair.sample(
-            standing, moving, hinge, self.angle_step, self.radial_step if joined else self.far_step
-        )
 
     def _refused(
         self, hinge: Hinge, bodies: list[Body], indices: tuple[int, int, int], free: tuple[float, float], lost: float

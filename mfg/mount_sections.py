@@ -70,6 +70,51 @@ class _Shell:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Cells:
+    """The filled cells of one can, as far as they do not depend on the plastic.
+
+    Attributes:
+        point: middle of every cell [m], (n, 3), frame of `Sections`.
+        normal: of the can there, (n, 3).
+        area: that a cell cuts [m2], (n,).
+        depth: of the bone [m], (n,).
+    """
+
+    point: Array
+    normal: Array
+    area: Array
+    depth: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Lattice:
+    """The whole bone, on a coarse lattice on which pieces are told apart.
+
+    Attributes:
+        bone: its depth there.
+        solid: the samples that count as bone.
+        radial, along: distance of every sample from the hinge axis and height along it [m].
+        half: volume of so much of the bone that the rest counts as the body [m3].
+    """
+
+    bone: Field
+    solid: Mask
+    radial: NDArray[np.float32]
+    along: NDArray[np.float32]
+    half: float
+
+    @staticmethod
+    def of(bone: Field, T_design_hinge: Array) -> _Lattice:
+        """Every `COARSE`th sample of a bone."""
+        x, y, z = (c / COARSE for c in bone.corner)
+        thin = np.ascontiguousarray(bone.values[::COARSE, ::COARSE, ::COARSE])
+        coarse = Field(thin, (x, y, z), bone.spacing * COARSE)
+        radial, along = cylindrical(coarse.axes(), T_design_hinge[:3, 3], T_design_hinge[:3, 2])
+        # A thin limb must not fall through the lattice.
+        return _Lattice(coarse, thin > -coarse.spacing / 4, radial, along, BODY_SHARE * coarse.volume())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Sections:
     """One bone sampled about a hinge axis, as far as any offset and any section of it reach.
 
@@ -80,18 +125,20 @@ class Sections:
         plastic: what the bone is printed of.
         depth: of the bone at the middle of every cell [m], (height, radius, angle).
         low: lower edge of the first layer of cells [m].
-        bone: the bone itself, on a coarse lattice.
+        lattice: the whole bone.
         T_design_hinge: pose of the hinge's frame.
         known: shells that were found, which do not depend on the plastic.
+        cells: those of the shells that were cut, by the shell's key and its place; nor do they.
     """
 
     mount: Mount
     plastic: Plastic
     depth: NDArray[np.float32]
     low: float
-    bone: Field
+    lattice: _Lattice
     T_design_hinge: Array
     known: dict[tuple[float, Half, bool], list[_Shell] | None] = field(default_factory=dict)
+    cells: dict[tuple[float, Half, bool, int], _Cells] = field(default_factory=dict)
 
     @staticmethod
     def sample(bone: Field, position: Array, axis: Array, mount: Mount, plastic: Plastic, reach: float) -> Sections:
@@ -104,10 +151,7 @@ class Sections:
         T = motor_pose(position, axis, 0.0)
         circle = _circle() @ T[:3, :2].T
         points = (position + height[:, None] * axis)[:, None, None] + radius[:, None, None] * circle
-        thin = np.ascontiguousarray(bone.values[::COARSE, ::COARSE, ::COARSE])
-        x, y, z = (c / COARSE for c in bone.corner)
-        coarse = Field(thin, (x, y, z), bone.spacing * COARSE)
-        return Sections(mount, plastic, bone.sample(points), -half * CELL, coarse, T)
+        return Sections(mount, plastic, bone.sample(points), -half * CELL, _Lattice.of(bone, T), T)
 
     def safety(self, offset: float, half: Half, flipped: bool = False, least: float = 0.0) -> float:
         """Strength over the greatest stress in any section around one half of the mount; 0 where nothing holds it.
@@ -137,7 +181,9 @@ class Sections:
             return np.inf
         for k in CUTS:
             if k < len(shells) and NOTCH[half] * worst + own <= most:
-                found = self._cut(shells[k])
+                if (*key, k) not in self.cells:
+                    self.cells[*key, k] = self._cells(shells[k])
+                found = self._cut(self.cells[*key, k])
                 if found is None:
                     return np.inf
                 worst = max(worst, found)
@@ -155,8 +201,8 @@ class Sections:
         room = self._room(offset, half, flipped)
         marks = np.zeros_like(room)
         shells: list[_Shell] = []
-        held, most = 0.0, BODY_SHARE * self.bone.volume()
-        while len(shells) < LAYERS and held <= most and a >= 0 and b < len(room) and m < room.shape[1]:
+        held = 0.0
+        while len(shells) < LAYERS and held <= self.lattice.half and a >= 0 and b < len(room) and m < room.shape[1]:
             # Along a meridian of the can: out on its lower face, up its side, back on its upper face.
             z = np.concatenate([np.full(m, a), np.arange(a, b + 1), np.full(m, b)])
             r = np.concatenate([np.arange(m), np.full(b - a + 1, m), np.arange(m)[::-1]])
@@ -183,20 +229,19 @@ class Sections:
 
     def _body(self, shell: _Shell) -> Mask:
         """The cells of a can next to a large piece of the bone beyond it."""
-        T, bone = self.T_design_hinge, self.bone
-        radial, along = cylindrical(bone.axes(), T[:3, 3], T[:3, 2])
+        T, lattice = self.T_design_hinge, self.lattice
         edge = self.low + (shell.z.min() + 0.5) * CELL, self.low + (shell.z.max() + 0.5) * CELL
         side = self.mount.attach_radius + (shell.radius + 0.5) * CELL
-        solid = bone.values > -bone.spacing / 4  # a thin limb must not fall through the lattice
-        outside = (radial > side) | (along < edge[0]) | (along > edge[1])
-        pieces, _ = ndimage.label(solid & outside)
+        outside = (lattice.radial > side) | (lattice.along < edge[0]) | (lattice.along > edge[1])
+        pieces, _ = ndimage.label(lattice.solid & outside)
         sizes = np.bincount(pieces.ravel())
         sizes[0] = 0
-        large = ndimage.binary_dilation(sizes[pieces] >= PIECE * solid.sum())
+        large = _beside((sizes >= PIECE * lattice.solid.sum())[pieces])
         radius = self.mount.attach_radius + (shell.r + 0.5) * CELL
         flat = radius[:, None, None] * (_circle() @ T[:3, :2].T)
         points = T[:3, 3] + flat + (self.low + (shell.z + 0.5) * CELL)[:, None, None] * T[:3, 2]
-        index = np.rint((points - bone.origin) / bone.spacing).astype(int).clip(0, np.array(large.shape) - 1)
+        index = np.rint((points - lattice.bone.origin) / lattice.bone.spacing).astype(int)
+        index = index.clip(0, np.array(large.shape) - 1)
         return np.asarray(large[tuple(np.moveaxis(index, -1, 0))], bool)
 
     def _layers(self, offset: float, low: float, high: float, flipped: bool) -> tuple[int, int]:
@@ -212,24 +257,27 @@ class Sections:
         room[max(first, 0) : max(last, 0), : int(np.ceil((outer - self.mount.attach_radius) / CELL - 1e-9))] = False
         return room
 
-    def _cut(self, shell: _Shell) -> float | None:
-        """The greatest stress in one section [Pa]; None where it cannot carry a couple."""
+    def _cells(self, shell: _Shell) -> _Cells:
+        """The filled cells of a can."""
         along, around = np.nonzero(shell.filled)
-        if len(along) < 4:
-            return None
         z, r = shell.z[along], shell.r[along]
         radius = self.mount.attach_radius + (r + 0.5) * CELL
         circle = _circle()[around]
         side = (r == shell.radius).astype(np.float64)
         normal = np.column_stack([circle * side[:, None], 1.0 - side])
-        depth = self.depth[z, r, around]
-        arc = radius * (2 * np.pi / AZIMUTHS)
-        weight = CELL * arc * self.plastic.stiffness(depth, CELL)
         point = np.column_stack([radius[:, None] * circle, self.low + (z + 0.5) * CELL])
+        area = np.asarray(CELL * (2 * np.pi / AZIMUTHS) * radius, np.float64)
+        return _Cells(point, normal, area, self.depth[z, r, around])
+
+    def _cut(self, cells: _Cells) -> float | None:
+        """The greatest stress in one section [Pa]; None where it cannot carry a couple."""
+        if len(cells.area) < 4:
+            return None
+        weight = cells.area * self.plastic.stiffness(cells.depth, CELL)
         # The middle of the section as the origin: a couple has no place of its own, and the sums stay well scaled.
-        point -= weight @ point / weight.sum()
-        (x, y, h), (u, v, w) = point.T, normal.T
-        arm = np.column_stack([normal, y * w - h * v, h * u - x * w, x * v - y * u])
+        point = cells.point - weight @ cells.point / weight.sum()
+        (x, y, h), (u, v, w) = point.T, cells.normal.T
+        arm = np.column_stack([cells.normal, y * w - h * v, h * u - x * w, x * v - y * u])
         shear = 0.5 / (1 + POISSON)
         K = (1 - shear) * (arm.T * weight) @ arm
         spread = (point.T * weight) @ point
@@ -241,13 +289,17 @@ class Sections:
         if np.linalg.eigvalsh(scaled)[0] < 1e-9 * np.trace(scaled):
             return None
         motion = np.linalg.solve(K, _couples(self.mount.motor.peak_torque))  # (6, directions)
-        pull = arm @ motion
+        # Every cell moves by the section's shift and turn; the part of it along the normal pulls, the rest shears.
         a, b, c = motion[3:]
-        slide = np.square(motion[0] + np.outer(h, b) - np.outer(y, c))
-        slide += np.square(motion[1] + np.outer(x, c) - np.outer(h, a))
-        slide += np.square(motion[2] + np.outer(y, a) - np.outer(x, b))
+        still = np.zeros(DIRECTIONS)
+        moved = point @ np.concatenate([still, c, -b, -c, still, a, b, -a, still]).reshape(3, -1)
+        moved += motion[:3].ravel()
+        moved *= moved
+        moved = moved.reshape(len(point), 3, DIRECTIONS)
+        pull = arm @ motion
         pull *= pull
-        square = pull + 3 * shear**2 * np.maximum(slide - pull, 0.0)
+        pull *= 1 - 3 * shear**2
+        square = pull + 3 * shear**2 * (moved[:, 0] + moved[:, 1] + moved[:, 2])
         return math.sqrt(float(square.max()))
 
 
@@ -274,8 +326,22 @@ def _linked(filled: Mask, next_to: Mask) -> Mask:
 
 def _spread(cells: Mask) -> Mask:
     """Cells and their neighbours along the meridian and around."""
-    wide = cells | np.roll(cells, 1, axis=1) | np.roll(cells, -1, axis=1)
+    wide = cells.copy()
+    wide[:, 1:] |= cells[:, :-1]
+    wide[:, :-1] |= cells[:, 1:]
+    wide[:, 0] |= cells[:, -1]
+    wide[:, -1] |= cells[:, 0]
     out = wide.copy()
     out[1:] |= wide[:-1]
     out[:-1] |= wide[1:]
+    return out
+
+
+def _beside(samples: Mask) -> Mask:
+    """Samples of a lattice and their neighbours along its axes."""
+    out = samples.copy()
+    for axis in range(3):
+        there, here = np.moveaxis(out, axis, 0), np.moveaxis(samples, axis, 0)
+        there[1:] |= here[:-1]
+        there[:-1] |= here[1:]
     return out

@@ -14,6 +14,7 @@ from mfg.bones import cut_cylinder
 from mfg.fields import Field
 from mfg.mounts import mount_of
 from mfg.outcome import Failure
+from mfg.voxel_distances import distances
 from mfg.voxel_fields import (
     at_centres,
     between_centres,
@@ -136,8 +137,8 @@ class SkinSolver:
         window = bounding_window(both)[1]
         crop = np.pad(both[window], 3)
         # Opening by a ball through two distance transforms: erode by r, then dilate by r.
-        core = ndimage.distance_transform_edt(crop) > self.opening
-        opened = ndimage.distance_transform_edt(~core) <= self.opening if core.any() else core
+        core = distances(crop) > self.opening
+        opened = distances(~core) <= self.opening if core.any() else core
         kept = np.zeros_like(both)
         kept[window] = (opened & crop)[3:-3, 3:-3, 3:-3]
         kept |= bone

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from decoder.design import DEPTH_UNIT, Material, VoxelDesign
 from mfg.fields import Field, Window
+from mfg.voxel_distances import distances
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -96,9 +97,11 @@ def measured_field(
             known[here] = opened_min(known[here], beside, opening, 1)
         return _field(known, low, pitch, fine)
     # A stored depth ends somewhere; deep inside, distances between voxels keep the ridge where clearance is measured.
-    far = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1] - 0.5
     share = np.clip((known - NEAR) / (FAR - NEAR), 0.0, 1.0)
-    values = refined((known + share * (far - known)).astype(np.float32))
+    if share.any():
+        far = distances(np.pad(inside, 1))[1:-1, 1:-1, 1:-1] - 0.5
+        known = (known + share * (far - known)).astype(np.float32)
+    values = refined(known)
     if others.any():
         nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
         cell = crop[tuple(nearest)]
@@ -133,22 +136,38 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float, st
     least = np.minimum(a, b)
     if radius <= 0 or min(a.shape) < 3:
         return least
-    # Nothing else is both in a body and near enough to an edge; further outside, the sign is all that counts.
-    near = np.unravel_index(np.flatnonzero((least > -radius) & (np.maximum(a, b) < 2 * radius)), a.shape)
-    if not near[0].size:
+    # Nothing else is both in a body and near enough to an edge; further outside, the sign is all that counts. And
+    # whatever the angle, an edge is nearest only where u + v > 0.
+    mask = (least > -radius) & (np.maximum(a, b) < 2 * radius) & (a + b < 2 * radius)
+    if not mask.any():
         return least
-    slopes = [np.gradient(depth[::stride, ::stride, ::stride]) for depth in (a, b)]
+    # Slopes are taken around those samples only, and at the places where slopes over the whole would be.
+    here = _grown(bounding_window(mask)[1], stride)
+    near = np.unravel_index(np.flatnonzero(mask[here]), mask[here].shape)
+    slopes = [np.gradient(depth[here][::stride, ::stride, ::stride]) for depth in (a, b)]
     length = np.sqrt(np.prod([np.square(g).sum(axis=0) for g in slopes], axis=0))
     cosine = (np.asarray(slopes[0]) * slopes[1]).sum(axis=0) / np.maximum(length, np.finfo(np.float32).tiny)
     if stride == 1:
         c = cosine[near]
     else:
         c = ndimage.map_coordinates(cosine, np.asarray(near) / stride, np.float32, order=1, mode="nearest")
-    u, v = np.float32(radius) - a[near], np.float32(radius) - b[near]
+    u, v = np.float32(radius) - a[here][near], np.float32(radius) - b[here][near]
     square = (u * u + v * v - 2 * c * u * v) / np.maximum(1 - c * c, np.float32(0.05))
     opened = np.float32(radius) - np.sqrt(np.maximum(square, 0))
-    least[near] = np.where((v > c * u) & (u > c * v), np.minimum(least[near], opened), least[near])
+    wedge, rim = (v > c * u) & (u > c * v), least[here]
+    rim[near] = np.where(wedge, np.minimum(rim[near], opened), rim[near])
     return least
+
+
+def _grown(window: Window, stride: int) -> Window:
+    """A window with its ends brought to multiples of the stride and two strides more, the reach of a slope's samples.
+
+    It may end beyond the array, never begin before it.
+    """
+    x, y, z = (
+        slice(max(s.start // stride - 2, 0) * stride, (-(-(s.stop - 1) // stride) + 2) * stride + 1) for s in window
+    )
+    return x, y, z
 
 
 def between_centres(window: Window) -> Window:
@@ -193,7 +212,7 @@ def _reached(voxels: NDArray[np.bool_]) -> Window:
 
 def _towards(own: NDArray[np.bool_], others: NDArray[np.bool_]) -> NDArray[np.float32]:
     """How much nearer every voxel is to one set than to another, as a depth that is 0 half-way [voxels]."""
-    there, here = (ndimage.distance_transform_edt(~voxels) for voxels in (others, own))
+    there, here = (distances(~voxels) for voxels in (others, own))
     return ((there - here) / np.where(own | others, 1.0, 2.0) - np.where(own, 0.5, np.where(others, -0.5, 0.0))).astype(
         np.float32
     )
@@ -201,8 +220,8 @@ def _towards(own: NDArray[np.bool_], others: NDArray[np.bool_]) -> NDArray[np.fl
 
 def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float) -> NDArray[np.float32]:
     """Euclidean depth of a voxel set at voxel centres [voxels], smoothed near its surface."""
-    depth = ndimage.distance_transform_edt(occupied) - ndimage.distance_transform_edt(~occupied)
-    depth = (depth - np.where(occupied, 0.5, -0.5)).astype(np.float32)
+    between = distances(occupied) - distances(~occupied)
+    depth = (between - np.where(occupied, 0.5, -0.5)).astype(np.float32)
     rounded = _blurred(depth, smoothing)
     # Only the surface needs rounding; deep inside, smoothing would flatten the ridge where clearance is measured.
     depth += np.clip((3.0 - np.abs(depth)) / 1.5, 0.0, 1.0) * (rounded - depth)

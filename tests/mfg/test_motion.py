@@ -12,7 +12,7 @@ from scipy import ndimage
 from decoder.design import VoxelDesign
 from mfg.blueprint import Blueprint
 from mfg.bones import BoneSolver
-from mfg.motion import CylindricalPair, MotionSolver, _running_maximum
+from mfg.motion import CylindricalPair, MotionSolver, Reaches, _running_maximum, carve
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.skeleton import SkeletonSolver
@@ -86,3 +86,36 @@ def test_bones_never_overlap_at_rest(elbow: VoxelDesign) -> None:
     a, b = (from_field(body.bone) for body in blueprint.bodies)
     assert a.overlap(b) == 0.0
     assert ndimage.label(blueprint.bodies[0].bone.values > 0)[1] == 1
+
+
+def test_reach_is_that_of_the_samples_and_is_found_anew_for_a_new_bone(elbow: VoxelDesign) -> None:
+    blueprint = boned(elbow)
+    hinge, bone, reaches = blueprint.hinges[0], blueprint.bodies[0].bone, Reaches()
+    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    thin = bone.with_values(np.where(bone.points()[..., 0] < bone.centroid()[0], bone.values, -1.0).astype(np.float32))
+    found = []
+    for field in (bone, bone, thin):
+        there = (field.points()[field.values > -field.spacing] - hinge.position) @ frame.T
+        radius = np.linalg.norm(there[:, :2], axis=1)
+        found.append(reaches.of(field, hinge.position, frame))
+        wanted = radius.min(), radius.max(), there[:, 2].min(), there[:, 2].max()
+        np.testing.assert_allclose(found[-1], wanted, rtol=1e-12)
+    assert found[0] is found[1]
+    assert found[0] != found[2]
+
+
+def test_carving_is_the_same_in_the_window_of_the_pair_as_in_the_whole_bone(
+    elbow: VoxelDesign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blueprint = boned(elbow)
+    theta, hinge = MotionSolver(), blueprint.hinges[0]
+    bones = blueprint.bodies[hinge.parent].bone, blueprint.bodies[hinge.body].bone
+    pair = CylindricalPair.sample(*bones, hinge, theta.angle_step, theta.radial_step)
+    assert pair is not None
+    swept = pair.swept(-1.0, 1.0, of_child=True)
+    near, lost = carve(blueprint.bodies[hinge.parent], pair, swept, hinge, theta.gap)
+    monkeypatch.setattr(CylindricalPair, "window", lambda _, field, position: field.window(position, 10.0))
+    whole, lost_of_whole = carve(blueprint.bodies[hinge.parent], pair, swept, hinge, theta.gap)
+    assert (near.bone.values < bones[0].values).any()
+    np.testing.assert_array_equal(near.bone.values, whole.bone.values)
+    assert lost == lost_of_whole

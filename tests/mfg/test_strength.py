@@ -81,6 +81,15 @@ def test_a_thicker_limb_and_thicker_walls_are_stronger(half: Half) -> None:
     assert sections(limb(0.06, 0.05, middle), walls).safety(0.0, half) > thick
 
 
+def test_what_was_found_for_one_plastic_serves_another() -> None:
+    bone = limb(0.05, 0.05)
+    first = sections(bone)
+    assert np.isfinite(first.stress(0.0, "holder"))
+    again = replace(first, plastic=SOLID)
+    assert again.cells is first.cells
+    assert again.stress(0.0, "holder") == sections(bone, SOLID).stress(0.0, "holder") < first.stress(0.0, "holder")
+
+
 def test_nothing_holds_a_mount_that_no_bone_touches() -> None:
     far = limb(0.05, 0.03, middle=0.12)
     assert sections(far, reach=0.08).safety(0.0, "holder") == 0.0

@@ -117,6 +117,22 @@ def test_opening_rounds_edges_trims_wedges_and_spares_the_rest() -> None:
     np.testing.assert_array_equal(opened_min(y, other, 0.0), np.minimum(y, other))
 
 
+@pytest.mark.parametrize("stride", [1, 2])
+def test_opening_an_edge_depends_on_nothing_far_from_it(stride: int) -> None:
+    rng = np.random.default_rng(stride)
+    for _ in range(20):
+        # Two planes that meet in the middle, and noise where one of them is too deep or too far out for any edge.
+        x, y, z = (np.arange(-20, 21, dtype=np.float32)[(..., *[None] * k)] / 4 for k in (2, 1, 0))
+        a = np.broadcast_to(x + 0 * y + 0 * z, (41, 41, 41)).astype(np.float32)
+        b = (rng.uniform(-0.5, 0.5) * x + y + 0.2 * z).astype(np.float32)
+        far = (a > 4) | (a < -3)
+        noisy = np.where(far, a + np.abs(rng.normal(size=a.shape)) * np.sign(a), a).astype(np.float32)
+        plain, other = opened_min(a, b, 1.0, stride), opened_min(noisy, b, 1.0, stride)
+        assert (plain < np.minimum(a, b)).any()
+        np.testing.assert_array_equal(plain[~far], other[~far])
+        np.testing.assert_array_equal(other[far], np.minimum(noisy, b)[far])
+
+
 @pytest.fixture(scope="module")
 def pairs() -> list[tuple[VoxelDesign, VoxelDesign]]:
     """Bodies without and with their depth."""
