@@ -63,28 +63,25 @@ class Clearance:
         shortest = between + t[..., None] * w - near
         normal = np.stack([z[:, 1] * w[:, 2] - z[:, 2] * w[:, 1], z[:, 2] * w[:, 0] - z[:, 0] * w[:, 2],
                            z[:, 0] * w[:, 1] - z[:, 1] * w[:, 0]], axis=1)  # fmt: skip
-        distance = np.full(cosine.shape, -np.inf)
-        for way in (z, w, normal, between, shortest):
-            length = np.sqrt(_dot(way, way))
-            n = way / np.maximum(length, 1e-12)[..., None]
-            shadows = np.zeros(cosine.shape)
-            for axis in (z, w):
-                c = np.abs(_dot(axis, n))
-                shadows += half * c + radius * np.sqrt(np.maximum(1 - c**2, 0.0))
-            distance = np.where(length > 1e-9, np.maximum(distance, np.abs(_dot(between, n)) - shadows), distance)
-        meet = np.zeros(cosine.shape, bool)
+        ways = np.stack([z, w, normal, between, shortest])  # (5, n, 3), as all below in one go: this is called often
+        length = np.sqrt(_dot(ways, ways))
+        n = ways / np.maximum(length, 1e-12)[..., None]
+        on_z, on_w = np.abs(_dot(n, z)), np.abs(_dot(n, w))
+        shadows = half * on_z + radius * np.sqrt(np.maximum(1 - on_z**2, 0.0))
+        shadows += half * on_w + radius * np.sqrt(np.maximum(1 - on_w**2, 0.0))
+        distance = np.where(length > 1e-9, np.abs(_dot(n, between)) - shadows, -np.inf).max(0)
         slim = min(mount.holder_radius, mount.connector_radius)
-        for point in (0.5 * between, near + 0.3 * shortest, near + 0.5 * shortest, near + 0.7 * shortest):
-            both = np.ones(cosine.shape, bool)
-            for axis, from_it in ((z, point), (w, point - between)):
-                along = _dot(from_it, axis)
-                both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along**2 < slim**2)
-            meet |= both
+        points = np.stack([0.5 * between, near + 0.3 * shortest, near + 0.5 * shortest, near + 0.7 * shortest])
+        both = np.ones(points.shape[:2], bool)
+        for axis, from_it in ((z, points), (w, points - between)):
+            along = _dot(from_it, axis)
+            both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along**2 < slim**2)
+        meet = np.asarray(both.any(0))
         return Clearance(distance, meet)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("ni,ni->n", a, b), np.float64)
+    return np.asarray(np.einsum("...i,...i->...", a, b), np.float64)
 
 
 def choose(
