@@ -103,6 +103,14 @@ class Solid:
             return 0.0
         return max(0.0, float((self._kernel ^ other._kernel).volume()))
 
+    def forgotten(self) -> Solid:
+        """The same triangles, known to the kernel by their corners alone.
+
+        It remembers which triangles it found flat or got from one face, and turns edges between them in every later
+        operation: two solids that are cut from one another would no longer share the surface between them.
+        """
+        return Solid(self.vertices, self.triangles)
+
     def hull(self) -> Solid:
         """Convex hull."""
         return _of(self._kernel.hull())
@@ -173,13 +181,8 @@ def ball_chain(path: NDArray[np.float64], radius: float, segments: int = 12) -> 
 
 
 def _thinned(kernel: m3.Manifold, tolerance: float) -> Solid:
-    """Fewer triangles within `tolerance` [m], known to the kernel by their corners alone.
-
-    It remembers which triangles it found flat to within the tolerance, and would turn the edges between them in every
-    later operation: two solids cut from one another would no longer share the surface between them.
-    """
-    thin = _of(kernel.simplify(tolerance))
-    return Solid(thin.vertices, thin.triangles)
+    """Fewer triangles within `tolerance` [m]; the kernel forgets which of them it found flat to within so much."""
+    return _of(kernel.simplify(tolerance)).forgotten()
 
 
 def _of(kernel: m3.Manifold) -> Solid:

@@ -2,8 +2,7 @@
 
 A cut goes through bone and skin of a body alike, so each piece is printed as a body is: rigid and soft as one object.
 The bone carries the joint: round pegs on one face, holes with clearance in the other, and glue between the faces. The
-pegs are cut from what was the other piece, so together the pieces are the body, less the clearance, but for what the
-mesh kernel moves a curved surface when it is cut: some 10 micrometres.
+pegs are cut from what was the other piece, so together the pieces are the body, less the clearance.
 """
 
 from __future__ import annotations
@@ -262,7 +261,7 @@ class SplitSolver:
 
     def _made(self, solids: tuple[Solid, list[Solid]], cut: _Cut) -> list[tuple[Solid, list[Solid]]] | None:
         """Both sides with pegs and holes as exact solids, or None if a side would be in pieces or a peg break out."""
-        bone, skins = solids
+        bone, skins = solids[0].forgotten(), [skin.forgotten() for skin in solids[1]]
         above = box((-_FAR, -_FAR, 0.0), (_FAR, _FAR, _FAR)).moved(cut.T_design_cut)
         lower, upper = (bone - above).components(), (bone ^ above).components()
         if len(lower) != 1 or len(upper) != 1:
@@ -285,7 +284,6 @@ class SplitSolver:
             return None
         below, over = [], []
         for skin in skins:
-            # The kernel tidies seams, so bone and skin no longer share one exactly after a cut.
             below += [s for s in (skin - above - with_pegs).components() if s.volume >= self.min_piece]
             over += [s for s in ((skin ^ above) - with_holes).components() if s.volume >= self.min_piece]
         return [(with_pegs, below), (with_holes, over)]

@@ -190,7 +190,7 @@ def test_panels_hold_every_step_once_and_in_order(plans) -> None:
     for _, steps in plans:
         shown = list(panels(steps))
         assert [step for panel in shown for step in panel] == list(steps)
-        assert all(sum(step.kind in ("motor", "join", "box") for step in panel) == 1 for panel in shown)
+        assert all(sum(step.kind in ("motor", "join", "box", "lid") for step in panel) == 1 for panel in shown)
 
 
 def test_a_design_without_parts_is_refused(built: Outcome) -> None:

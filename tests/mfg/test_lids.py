@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from blueprints import blueprint_of, box_bone, three_motor_robot
 
+from mfg.assembly import assembly_steps, part_names
 from mfg.blueprint import Blueprint, BoxSeat, PrintedPart
 from mfg.electronics_search import SearchElectronicsSolver
 from mfg.exact import box_solid
+from mfg.export import print_objects
 from mfg.finish import FinishSolver
-from mfg.lids import FIT, GRIP, PILOT, PLATE, Lid, lids_of
+from mfg.guide_pictures import screw_size
+from mfg.guide_text import step_text
+from mfg.lids import FIT, GRIP, PILOT, PLATE, SCREW, Lid, lids_of
+from mfg.masses import body_masses, component_moments, printed_moments
 from mfg.parts import PAPER
-from mfg.solids import Solid, cylinder, from_field
+from mfg.plate import arrange
+from mfg.solids import Solid, ball_chain, cylinder, from_field
+from mfg.splitting import pieces
 from mfg.stl import torn_edges, welded
+from mfg.tables import bill_of_materials
+from mfg.ways import Scene, blocked_volume, box_way, lid_way
 
 KINDS = ("battery", "controller")
 
@@ -138,3 +149,96 @@ def test_where_no_screw_finds_hold_there_is_no_lid_but_a_note(wall: float, holds
     found, notes = lids_of(blueprint, bones_of(blueprint), [])
     assert (len(found), len(notes)) == ((1, 0) if holds else (0, 1))
     assert all("no lid" in note for note in notes)
+
+
+# What the rest of the robot knows of its lids.
+
+
+def test_a_lid_is_a_printed_object_of_its_own(built: Blueprint) -> None:
+    found = {piece.name: [part.name for part in piece.parts] for piece in pieces(built)}
+    assert all(found[f"body_0_lid_{kind}"] == [f"body_0_lid_{kind}"] for kind in KINDS)
+    assert "body_0_bone" in found["body_0"]
+    lays = arrange([piece.points for piece in pieces(built)], built.catalogue.printer.volume)
+    assert [thing.name for thing in print_objects(built, lays)] == list(found)
+
+
+def test_the_body_weighs_what_it_is_printed_and_filled_with_lids_included(built: Blueprint) -> None:
+    printed = sum(printed_moments(p.solid.vertices, p.solid.triangles,
+                                  PAPER.rigid if p.material == "rigid" else PAPER.soft, PAPER.printer.line_width).mass
+                  for p in built.parts)  # fmt: skip
+    inside = sum(moments.mass for _, moments in component_moments(built))
+    assert sum(mass.mass for mass in built.masses) == pytest.approx(printed + inside)
+    lids = {lid.part for lid in built.lids}
+    bare = body_masses(replace(built, parts=tuple(p for p in built.parts if p.name not in lids)))
+    host = built.boxes[built.lids[0].box].body
+    assert built.masses[host].mass > bare[host].mass + 0.002
+    assert [m.mass for k, m in enumerate(bare) if k != host] == [
+        m.mass for k, m in enumerate(built.masses) if k != host
+    ]
+
+
+def test_the_bill_counts_lids_and_their_screws_once(built: Blueprint) -> None:
+    rows = list(csv.DictReader(io.StringIO(bill_of_materials(built))))
+    assert [row["item"] for row in rows if row["kind"] == "printed lid"] == [lid.part for lid in built.lids]
+    screws = [row for row in rows if row["item"] == SCREW]
+    assert [int(row["quantity"]) for row in screws] == [len(lid.screws) for lid in built.lids]
+    rigid = next(row for row in rows if row["item"] == PAPER.rigid.name)
+    weighed = sum(printed_moments(p.solid.vertices, p.solid.triangles, PAPER.rigid, PAPER.printer.line_width).mass
+                  for p in built.parts if p.material == "rigid")  # fmt: skip
+    assert float(rigid["mass_g"]) == pytest.approx(1e3 * weighed, abs=0.1)
+    assert all(row["mass_g"] == "" for row in rows if row["kind"] == "printed lid")
+
+
+def test_a_screw_does_not_meet_the_end_of_its_hole_and_holds_by_twice_its_size() -> None:
+    size, length = screw_size(SCREW)
+    in_bone = length - PLATE / 2
+    assert 2 * size <= in_bone <= GRIP - 5e-4
+
+
+def test_leads_pass_the_notch_with_the_lid_in_place(built: Blueprint) -> None:
+    for lid in built.lids:
+        seat = built.boxes[lid.box]
+        up, centre = seat.T_design_box[:3, 2], seat.T_design_box[:3, 3]
+        inward = centre + ((lid.notch - centre) @ up) * up - lid.notch
+        lead = lid.notch + 2.6e-3 * inward / np.linalg.norm(inward)  # 4.5 mm thick, against the wall
+        way = upright(seat, lead, seat.size[2] / 2 + 1e-4 - seat.shaft, 0.05, 2.25e-3)
+        for solid in (part(built, lid.part).solid, part(built, "body_0_bone").solid):
+            assert way.overlap(solid) < 1e-12
+
+
+def test_a_cable_across_the_plug_does_not_keep_the_lid_down(robot: Blueprint) -> None:
+    seat = robot.boxes[0]
+    # From the edge of the box out through the side of its shaft, above the box.
+    across, up = seat.T_design_box[:3, 0], seat.T_design_box[:3, 2]
+    edge = seat.T_design_box[:3, 3] + (seat.size[2] / 2 + 0.004) * up + (seat.size[0] / 2 - 0.006) * across
+    cable = ball_chain(np.stack([edge, edge + 0.15 * across]), 3.5e-3, 8)
+    plain, _ = lids_of(robot, bones_of(robot), [])
+    assert plain[0].solid.overlap(cable) > 1e-8  # it is in the way
+    found, _ = lids_of(robot, bones_of(robot), [cable])
+    lid = next((lid for lid in found if lid.seat == 0), None)
+    assert lid is not None
+    for distance in (0.0, 0.002, 0.006, 0.012, 0.05):
+        assert lid.solid.moved(along(seat, distance)).overlap(cable) < 1e-12, distance
+
+
+def test_the_guide_closes_every_box_right_after_it_went_in(built: Blueprint) -> None:
+    steps = assembly_steps(built)
+    assert sorted(name for step in steps for name in step.adds) == sorted(part_names(built))
+    for k, lid in enumerate(built.lids):
+        at = next(i for i, step in enumerate(steps) if (step.kind, step.index) == ("lid", k))
+        assert (steps[at - 1].kind, steps[at - 1].index) == ("box", lid.box)
+        assert steps[at].trouble == ""
+        text = " ".join(step_text(built, steps[at]))
+        assert f"{len(lid.screws)} screws {SCREW}" in text
+        assert "notch" in text
+    assert "no lid" not in " ".join(line for step in steps for line in step_text(built, step))
+
+
+def test_the_battery_comes_out_when_its_lid_is_off_and_only_then(built: Blueprint) -> None:
+    scene, everything = Scene.of(built), frozenset(range(len(built.bodies)))
+    index = next(k for k, seat in enumerate(built.boxes) if seat.kind == "battery")
+    assert box_way(scene, index, everything, []).free
+    lid = next(k for k, lid in enumerate(built.lids) if lid.box == index)
+    assert lid_way(scene, lid, everything).free
+    out = built.boxes[index].T_design_box[:3, 2]
+    assert blocked_volume([scene.boxes[index]], [scene.lids[lid]], out) > 1e-6
