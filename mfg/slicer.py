@@ -13,10 +13,13 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from mfg.manifest import ManifestError, changed_files, read_manifest
@@ -186,9 +189,29 @@ def _slice(
     return PlateSlice(plate, objects, _seconds(footer, name), _grams(footer, name, extruders), _warnings(spoken))
 
 
+@contextmanager
+def _ending_by_exception() -> Iterator[None]:
+    """Let SIGTERM end this program by SystemExit, so that it takes what it started with it.
+
+    Only where nobody else answers that signal, and in the main thread, which alone may ask for signals.
+    """
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+
+    def end(number: int, _: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 def _run(command: Sequence[str], patience: float) -> subprocess.CompletedProcess[str]:
     try:
-        with subprocess.Popen(
+        with _ending_by_exception(), subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             errors="replace", env={**os.environ, "LC_ALL": "C"}, start_new_session=True,
         ) as process:  # fmt: skip

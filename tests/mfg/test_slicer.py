@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import re
+import signal
+import subprocess
+import sys
 import time
 import zipfile
 from dataclasses import asdict
@@ -133,6 +136,47 @@ def test_a_slicer_that_hangs_is_stopped_with_all_that_it_started(folder: Path, t
         slice_blueprint(folder, fake, patience=0.5)
     time.sleep(4)
     assert not (tmp_path / "still_here").exists()
+
+
+def test_a_terminated_program_leaves_no_slicer_behind(folder: Path, tmp_path: Path) -> None:
+    """The signal reaches the program while it waits for the slicer; what a script started ends with it."""
+    told = tmp_path / "pid"
+    fake = program(tmp_path, f"sleep 600 & echo $! > {told}.new; mv {told}.new {told}; wait")
+    code = (
+        "import sys; from pathlib import Path; from mfg.slicer import slice_blueprint\n"
+        "slice_blueprint(*map(Path, sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, str(folder), str(fake)]
+    with subprocess.Popen(command, cwd=Path(__file__).parents[2]) as waiting:
+        while not told.exists():
+            assert waiting.poll() is None
+            time.sleep(0.02)
+        waiting.send_signal(signal.SIGTERM)
+        assert waiting.wait(60) == 128 + signal.SIGTERM
+    slicer = int(told.read_text())
+    for _ in range(500):
+        if not alive(slicer):
+            return
+        time.sleep(0.02)
+    raise AssertionError("the slicer still runs")
+
+
+def alive(process: int) -> bool:
+    try:
+        return " Z " not in Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("before", [signal.SIG_IGN, lambda *_: None])
+def test_who_answers_the_signal_himself_goes_on_doing_so(folder: Path, tmp_path: Path, before: object) -> None:
+    kept = signal.signal(signal.SIGTERM, before)  # type: ignore[arg-type]
+    try:
+        with pytest.raises(SliceError):
+            slice_blueprint(folder, program(tmp_path, "exit 1"))
+        assert signal.getsignal(signal.SIGTERM) is before
+    finally:
+        signal.signal(signal.SIGTERM, kept)
 
 
 def test_no_slicer_another_program_or_none_at_all_is_said(

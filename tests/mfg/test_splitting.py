@@ -66,7 +66,7 @@ def checked(before: Blueprint, after: Blueprint | Failure, rounding: float = 1e-
         assert len(part.solid.components()) == 1, part.name
         assert len(torn_edges(welded(part.solid)[1])) == 0, part.name
     for a, b in itertools.combinations(after.parts, 2):
-        assert a.solid.overlap(b.solid) < 1e-9, (a.name, b.name)  # a cubic millimetre, of rounding at the cuts
+        assert a.solid.overlap(b.solid) < 1e-12, (a.name, b.name)
     for index in range(len(after.bodies)):
         for material in ("rigid", "soft"):
             old = [p.solid for p in before.parts if p.body == index and p.material == material]
