@@ -29,6 +29,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         target_speed: no speed beyond it earns more [m/s].
         history: frames that the policy sees.
         randomise: whether episodes draw latency, gains, friction, masses, sensor errors and pushes.
+        pads: share of the robots, in training and in the episodes that choose the best, that stand on sprung pads.
         terrain: what the robot walks on.
         film: length of the film [s], 0 for none. It changes no result.
     """
@@ -37,7 +38,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
     steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_500_000
-    starts: Annotated[int, Meta(ge=1, le=16)] = 5
+    starts: Annotated[int, Meta(ge=1, le=16)] = 4
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 90_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
@@ -45,6 +46,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     target_speed: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.45
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
+    pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
     terrain: Literal["flat", "rough", "potholes", "slope", "steps"] = "flat"
     film: Annotated[float, Meta(ge=0.0, le=100.0)] = 10.0
 
@@ -54,12 +56,13 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
 
         from sim.environment import TEN_SECONDS
         from sim.learning import USUAL
-        from sim.randomisation import WIDE
+        from sim.randomisation import RANDOMISED
         from sim.tasks import STEADY, Goal
         from sim.training import Training
 
         task = replace(STEADY, goal=Goal(self.task), target_speed=self.target_speed)
         return Training(
             self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
-            WIDE if self.randomise else None, replace(TEN_SECONDS, history=self.history),
+            RANDOMISED if self.randomise else None, replace(TEN_SECONDS, history=self.history),
+            share=self.pads,
         )  # fmt: skip

@@ -40,7 +40,7 @@ exit status: 0 trained, 1 the design cannot be built or its physics explodes, 2 
 to the last chunk is saved, and the command that goes on is printed.
 """
 
-FLAGS = ("steps", "starts", "seed", "task", "target_speed", "history", "terrain", "film")
+FLAGS = ("steps", "starts", "seed", "task", "target_speed", "history", "pads", "terrain", "film")
 TASKS = ("speed", "command", "stand", "recover")
 TERRAINS = ("flat", "rough", "potholes", "slope", "steps")
 
@@ -52,11 +52,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--steps", type=int, help="control periods of experience (1500000)")
-    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (5)")
+    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
     parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
+    parser.add_argument("--pads", type=float, metavar="SHARE", help="of the robots on sprung pads, e.g. 0.25 (0)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")
     parser.add_argument("--no-randomise", action="store_true", help="train on the twin exactly as it is")
     parser.add_argument("--film", type=float, metavar="S", help="length of the film, 0 for none (10)")

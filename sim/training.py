@@ -14,14 +14,13 @@ from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
 from sim.learning import USUAL, Learner, Ppo, Unlearnable
 from sim.mixture import Mixture
 from sim.model import Model
-from sim.randomisation import WIDE, Randomisation, draw
+from sim.randomisation import RANDOMISED, Randomisation, draw
 from sim.rollout import Behaviour, measure, settle
 from sim.tasks import FAST, SCALE, Goal, Task
 
 Array = NDArray[np.float64]
 
 LEARN, EVALUATE, RACE = 0, 1, 2  # purposes of randomness
-OTHERS = 0.26  # share of the copies and of the episodes that have another model of the robot
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 RHYTHM_SPREAD = 2 / 3  # of exploration about a rhythm over that of a free start
 EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and their length [s]
@@ -40,6 +39,7 @@ class Training:
         randomisation: what each episode draws; None trains on the model as it is.
         episode: how episodes run.
         last_spread: standard deviation of what the policy says at the end.
+        share: of the copies and of the episodes of an evaluation that have another model of the robot, if there is one.
     """
 
     seed: int = 0
@@ -47,9 +47,10 @@ class Training:
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
-    randomisation: Randomisation | None = WIDE
+    randomisation: Randomisation | None = RANDOMISED
     episode: Episode = TEN_SECONDS
     last_spread: float = 0.15
+    share: float = 0.25
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -57,6 +58,8 @@ class Training:
             raise ValueError(f"training: steps {self.steps} and chunk {self.chunk} must be 1 or more")
         if not 0.01 <= self.last_spread <= self.ppo.spread:
             raise ValueError(f"training: last_spread is {self.last_spread}; it must lie in [0.01, {self.ppo.spread:g}]")
+        if not 0.0 <= self.share <= 0.9:
+            raise ValueError(f"training: share is {self.share}; it must lie in [0, 0.9]")
 
     @property
     def chunks(self) -> int:
@@ -249,9 +252,9 @@ def evaluate(
     start = settle(model) if start is None else start
     plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
     behaviours: list[Behaviour | None] = []
-    counts = shared_out(EPISODES, len(others))
+    counts = shared_out(EPISODES, training.share, len(others))
     for robot, count, at in zip((model, *others), counts, (start, *[None] * len(others)), strict=True):
-        behaviours += randomised(robot, actor, training.randomisation or WIDE, training.seed, episodes=count,
+        behaviours += randomised(robot, actor, training.randomisation or RANDOMISED, training.seed, episodes=count,
                                  seconds=EVALUATION_SECONDS, start=at, nthread=nthread)  # fmt: skip
     alive = [b for b in behaviours if b is not None]
     return Verdict(
@@ -262,9 +265,9 @@ def evaluate(
     )  # fmt: skip
 
 
-def shared_out(count: int, others: int) -> list[int]:
-    """How many of `count` robots are the model as it is, and how many each of its other models; all at least one."""
-    few = -(-round(OTHERS * count) // others) if others else 0
+def shared_out(count: int, share: float, others: int) -> list[int]:
+    """How many of `count` robots are the model as it is, and how many each of its other models, at least one."""
+    few = max(1, round(share * count / others)) if others else 0
     return [count - others * few, *[few] * others]
 
 
@@ -272,7 +275,7 @@ def mean_reward(model: Model, actor: Perceptron, training: Training, nthread: in
     """The reward of a control period under a policy without exploration, over randomised episodes of its task."""
     episode = replace(training.episode, seconds=EVALUATION_SECONDS, history=actor.history)
     environment = Environment(
-        model, EPISODES, training.task, actor.actions, training.randomisation or WIDE, episode, actor.rhythm,
+        model, EPISODES, training.task, actor.actions, training.randomisation or RANDOMISED, episode, actor.rhythm,
         nthread,
     )  # fmt: skip
     observation = environment.reset(np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(EVALUATE,))))
@@ -343,7 +346,7 @@ def mixture_of(
     """The same on several models of the robot at once."""
     if not others:
         return environment_of(model, training, start, nthread)
-    counts = shared_out(training.ppo.copies, len(others))
+    counts = shared_out(training.ppo.copies, training.share, len(others))
     models = zip((model, *others), counts, strict=True)
     return Mixture([environment_of(robot, training, start, nthread, count) for robot, count in models])
 

@@ -152,6 +152,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(config: Path, tmp_path: Path) -> Non
         (("--target-speed", "-1"), "target_speed = -1.0"),
         (("--starts", "0"), "starts = 0"),
         (("--task", "fly"), "invalid choice: 'fly'"),
+        (("--pads", "1"), "pads = 1.0"),
         (("--history", "x"), "invalid int value: 'x'"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -100,10 +101,14 @@ def test_a_share_of_the_experience_is_on_other_models(model: Any, sprung: Any, w
 
 
 def test_every_model_has_its_share() -> None:
-    assert shared_out(64, 0) == [64]
-    assert shared_out(64, 1) == [47, 17]
-    assert shared_out(10, 2) == [6, 2, 2]
-    assert all(sum(shared_out(n, k)) == n and min(shared_out(n, k)) > 0 for n in range(4, 70) for k in range(3))
+    assert shared_out(64, 0.25, 0) == [64]
+    assert shared_out(64, 0.25, 1) == [48, 16]
+    assert shared_out(10, 0.4, 2) == [6, 2, 2]
+    assert shared_out(4, 0.0, 1) == [3, 1]
+    for share, n, others in itertools.product((0.0, 0.25, 0.9), range(10, 70), range(3)):
+        counts = shared_out(n, share, others)
+        assert sum(counts) == n
+        assert min(counts) > 0
 
 
 def test_an_evaluation_has_episodes_on_other_models(model: Any, sprung: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +120,7 @@ def test_an_evaluation_has_episodes_on_other_models(model: Any, sprung: Any, mon
 
     monkeypatch.setattr("sim.training.randomised", randomised)
     verdict = evaluate(model, Trainer(model, SMALL, FREE).actor(), SMALL, others=(sprung,))
-    assert asked == [(model, 7), (sprung, 3)]
+    assert asked == [(model, 8), (sprung, 2)]
     assert verdict.lost == verdict.episodes == 10
 
 
