@@ -35,6 +35,8 @@ def main(args: argparse.Namespace) -> int:
         verdicts.append({"file": str(path), **outcome.to_json(None)})
         if not args.json:
             print(f"{path!s:{width}}  {_line(outcome)}")
+            for note in outcome.blueprint.notes if outcome.ok else ():
+                print(f"  note: {note}")
         elif not outcome.ok:
             say(f"bodyplan: {path} cannot be built: {outcome.failure}")
     if args.json:
