@@ -118,8 +118,8 @@ def _same_robot(source: Path, path: Path, robot: str) -> None:
 
 
 def _others(config: Policy, source: Path) -> tuple[Model, ...]:
-    """The robot on sprung pads, if asked for: beside soft contact, the skin gives sideways and swings back."""
-    return (_model(config, source, "sprung"),) if config.pads > 0 else ()
+    """The robot on sprung pads: beside soft contact, the skin gives sideways and swings back."""
+    return (_model(config, source, "sprung"),) if config.randomise and config.pads > 0 else ()
 
 
 def _model(config: Policy, source: Path, level: str = "compliant") -> Model:

@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
     parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
-    parser.add_argument("--pads", type=float, metavar="SHARE", help="of the robots on sprung pads, e.g. 0.25 (0)")
+    parser.add_argument("--pads", type=float, metavar="SHARE", help="of the robots on sprung pads (0.26)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")
     parser.add_argument("--no-randomise", action="store_true", help="train on the twin exactly as it is")
     parser.add_argument("--film", type=float, metavar="S", help="length of the film, 0 for none (10)")

@@ -72,6 +72,8 @@ class Randomisation:
 
 
 RANDOMISED = Randomisation()
+# What is learned from: where a policy is to keep its speed at the ends of a range, training goes beyond them.
+WIDE = replace(RANDOMISED, friction=(0.35, 1.4), contact_time=(0.3, 2.5))
 EXACT = Randomisation(
     latency=(0.008, 0.008), stiffness=(1.0, 1.0), damping=(1.0, 1.0), voltage=(1.0, 1.0), friction=(0.8, 0.8),
     contact_time=(1.0, 1.0), mass=(1.0, 1.0), gyro_bias=0.0, imu_turn=0.0, encoder_offset=0.0, push_speed=0.0,

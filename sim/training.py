@@ -14,7 +14,7 @@ from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
 from sim.learning import USUAL, Learner, Ppo, Unlearnable
 from sim.mixture import Mixture
 from sim.model import Model
-from sim.randomisation import RANDOMISED, Randomisation, draw
+from sim.randomisation import WIDE, Randomisation, draw
 from sim.rollout import Behaviour, measure, settle
 from sim.tasks import FAST, SCALE, Goal, Task
 
@@ -47,7 +47,7 @@ class Training:
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
-    randomisation: Randomisation | None = RANDOMISED
+    randomisation: Randomisation | None = WIDE
     episode: Episode = TEN_SECONDS
     last_spread: float = 0.15
     share: float = 0.25
@@ -254,7 +254,7 @@ def evaluate(
     behaviours: list[Behaviour | None] = []
     counts = shared_out(EPISODES, training.share, len(others))
     for robot, count, at in zip((model, *others), counts, (start, *[None] * len(others)), strict=True):
-        behaviours += randomised(robot, actor, training.randomisation or RANDOMISED, training.seed, episodes=count,
+        behaviours += randomised(robot, actor, training.randomisation or WIDE, training.seed, episodes=count,
                                  seconds=EVALUATION_SECONDS, start=at, nthread=nthread)  # fmt: skip
     alive = [b for b in behaviours if b is not None]
     return Verdict(
@@ -275,7 +275,7 @@ def mean_reward(model: Model, actor: Perceptron, training: Training, nthread: in
     """The reward of a control period under a policy without exploration, over randomised episodes of its task."""
     episode = replace(training.episode, seconds=EVALUATION_SECONDS, history=actor.history)
     environment = Environment(
-        model, EPISODES, training.task, actor.actions, training.randomisation or RANDOMISED, episode, actor.rhythm,
+        model, EPISODES, training.task, actor.actions, training.randomisation or WIDE, episode, actor.rhythm,
         nthread,
     )  # fmt: skip
     observation = environment.reset(np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(EVALUATE,))))
