@@ -83,16 +83,6 @@ class SearchElectronicsSolver:
         detail = f"no bones take the boxes with walls of {1e3 * self.wall:.0f} mm; closest: {miss.detail}"
         return Failure(Stage.ELECTRONICS, Reason.NO_ROOM, detail, miss)
 
-    def closest_miss(self, blueprint: Blueprint) -> Miss | None:
-        """How far the nearest placement is from being one, or None where there is one."""
-        search = _Search(self, blueprint)
-        return None if search.placed() else search.miss()
-
-
-def closest_miss(blueprint: Blueprint) -> Miss | None:
-    """`SearchElectronicsSolver.closest_miss` by the default rules."""
-    return SearchElectronicsSolver().closest_miss(blueprint)
-
 
 class _Search:
     """The search in all bones of one blueprint, largest first."""

@@ -8,6 +8,10 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from gaits_in_brief import QUADRUPED
+
+from decoder.design import VoxelDesign
+from decoder.sketch import load_design
 
 # Spawned workers import what they run, so it is a module in a file. A candidate's answer follows from its latent.
 FAKES = """
@@ -64,6 +68,11 @@ def fakes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
 
     yield evo_fakes
     sys.path.remove(str(folder))
+
+
+@pytest.fixture(scope="session")
+def quadruped() -> VoxelDesign:
+    return load_design(QUADRUPED)
 
 
 @pytest.fixture

@@ -5,32 +5,21 @@ from __future__ import annotations
 import functools
 import pickle
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from gaits_in_brief import TINY
 
 import evo.sizing as sizing
 from decoder.design import VoxelDesign
-from decoder.sketch import load_design
 from evo.judge import DEFAULT_JUDGE, Judge
 from evo.sizing import End, Sized, sized
 from mfg.library import Library, read_library
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
 from mfg.pipeline import build, score
-from sim.gaits import GaitBudget
 from sim.rollout import Diverged
 
 LIBRARY = read_library()
-TINY = GaitBudget(
-    random=6, random_seconds=1.0, generations=1, population=4, seconds=1.0, finalists=1, final_seconds=1.0
-)
-QUADRUPED = Path(__file__).resolve().parents[2] / "experiments" / "examples" / "quadruped.vox"
-
-
-@pytest.fixture(scope="module")
-def quadruped() -> VoxelDesign:
-    return load_design(QUADRUPED)
 
 
 @pytest.fixture

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
+from gaits_in_brief import QUADRUPED, TINY
 
 from decoder.sketch import load_design
 from evo.needs import needs_of
 from mfg.catalogue import Motor
 from mfg.description import describe
 from mfg.pipeline import score
-from sim.gaits import GaitBudget, search_gait
+from sim.gaits import search_gait
 from sim.model import compile_model
 from sim.rollout import roll_out
-
-TINY = GaitBudget(
-    random=6, random_seconds=1.0, generations=1, population=4, seconds=1.0, finalists=1, final_seconds=1.0
-)
-QUADRUPED = Path(__file__).resolve().parents[2] / "experiments" / "examples" / "quadruped.vox"
 
 
 def test_needs_are_those_of_the_rollout():

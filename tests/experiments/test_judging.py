@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from gaits_in_brief import QUADRUPED, TINY
 
 import evo.sizing as sizing
 from decoder.design import VoxelDesign
@@ -17,12 +17,6 @@ from experiments.judging import judge_of
 from mfg.component_file import part_text
 from mfg.library import read_library
 from mfg.parts import PAPER
-from sim.gaits import GaitBudget
-
-QUADRUPED = Path(__file__).resolve().parents[2] / "experiments" / "examples" / "quadruped.vox"
-TINY = GaitBudget(
-    random=6, random_seconds=1.0, generations=1, population=4, seconds=1.0, finalists=1, final_seconds=1.0
-)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gaits_in_brief import QUADRUPED
 
 from decoder.sketch import load_design
 from mfg.component_looks import Looks
@@ -24,7 +25,6 @@ from mfg.picture import MOTOR, blueprint_shapes
 from mfg.pipeline import Outcome, build
 
 LIBRARY = read_library()
-QUADRUPED = Path(__file__).resolve().parents[2] / "experiments" / "examples" / "quadruped.vox"
 # Of the paper's catalogue in the manifest, before parts had fields with defaults.
 PAPER_DIGEST = "9bd6f3886d60c561a3e33da50987917fb783f8a236abdd16eb12cc1827bdcb56"
 
