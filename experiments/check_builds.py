@@ -10,7 +10,7 @@ one was stopped. Status 1 if anything is wrong.
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
 import shutil
 import sys
 import tempfile
@@ -21,6 +21,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from experiments.json_lines import Row, appending, read_rows
 from experiments.output import DONE, INFEASIBLE, SOLVERS, BadInput, add_decoder_option, progress, say
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 MOST_DRAWN = 20  # designs drawn for one that passes, before the script gives up
 SCORES = ("motor", "electronics", "cable", "electronics_install", "body_install")
-Row = dict[str, Any]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -63,41 +63,38 @@ def checked_rows(n: int, seed: int, decoder: str, solver: str, sliced: int, out:
     from decoder.latent import make_decoder
 
     settings = {"decoder": decoder, "solver": solver, "seed": seed}
-    rows = [] if out is None or not out.exists() else read_rows(out, settings)
+    rows = [] if out is None else earlier_rows(out, settings)
     latents = make_decoder(decoder)
     _say_what_is_missing(sliced > 0)
     built = sum(row["built"] for row in rows)
-    for _ in progress(range(n - built), n - built, "builds"):
-        for row in _until_built(latents, settings, len(rows), built < sliced, MOST_DRAWN * n):
-            rows.append(row)
-            if out is not None:
-                with out.open("a") as file:
-                    file.write(json.dumps(row, allow_nan=False) + "\n")
-        if not rows[-1]["built"]:
-            say(f"only {built} of {len(rows)} designs were built; gave up")
-            break
-        built += 1
+    with contextlib.ExitStack() as stack:
+        add = None if out is None else stack.enter_context(appending(out))
+        for _ in progress(range(n - built), n - built, "builds"):
+            for row in _until_built(latents, settings, len(rows), built < sliced, MOST_DRAWN * n):
+                rows.append(row)
+                if add is not None:
+                    add(row)
+            if not rows[-1]["built"]:
+                say(f"only {built} of {len(rows)} designs were built; gave up")
+                break
+            built += 1
     return rows
 
 
-def read_rows(path: Path, settings: Mapping[str, Any]) -> list[Row]:
-    """The rows of an earlier run; a line that was cut off when it was stopped is dropped from the file.
+def earlier_rows(path: Path, settings: Mapping[str, Any]) -> list[Row]:
+    """The rows of an earlier run, none if there was none.
 
     Raises:
         BadInput: if they are not rows of this program or of other settings.
     """
-    text = path.read_text("utf-8")
-    whole = text[: text.rfind("\n") + 1]
     try:
-        rows: list[Row] = [json.loads(line) for line in whole.splitlines()]
+        rows = read_rows(path)
         found = [{key: row[key] for key in settings} | {"draw": row["draw"]} for row in rows]
     except (ValueError, KeyError, TypeError):
         raise BadInput(f"{path} holds something else than rows of this program; name another file") from None
     for draw, row in enumerate(found):
         if row != {**settings, "draw": draw}:
             raise BadInput(f"{path} holds rows of {row}, not {dict(settings)}; name another file")
-    if whole != text:
-        path.write_text(whole, "utf-8")
     return rows
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.json_lines import appending
 from experiments.output import DONE, make_folder, progress, say
 from experiments.run_folder import cores
 
@@ -172,13 +173,12 @@ def run(n: int, seed: int, steps: int, decoder: str, workers: int, folder: Path)
             keys[latent.tobytes()] = None if isinstance(key, Failure) else key
     chosen = [(key, latent) for latent in latents[: 6 * n] if (key := keys[latent.tobytes()]) is not None][:n]
     todo = [latent for key, latent in chosen if key not in done]
-    with Pool[Any, Any](Ladder(seed, steps, decoder), workers, BODY_TIMEOUT) as pool, path.open("a") as file:
+    with Pool[Any, Any](Ladder(seed, steps, decoder), workers, BODY_TIMEOUT) as pool, appending(path) as add:
         for _, row, seconds in progress(pool.run(todo), len(todo), "bodies"):
             if isinstance(row, Failure) or row is None:
                 say(f"a body is lost: {row}")
                 continue
-            file.write(json.dumps(row | {"seconds": seconds}) + "\n")
-            file.flush()
+            add(row | {"seconds": seconds})
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -19,7 +18,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import DONE, INFEASIBLE, count, make_folder, progress, say
+from experiments.json_lines import appending, read_rows
+from experiments.output import BAD_INPUT, DONE, INFEASIBLE, count, make_folder, progress, say
 from experiments.run_folder import cores
 
 if TYPE_CHECKING:
@@ -208,17 +208,19 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="hard_designs.jsonl and .md")
     args = parser.parse_args(argv)
     make_folder(args.out)
-    rows = list(_done(args.out / "hard_designs.jsonl"))
+    path = args.out / "hard_designs.jsonl"
+    try:
+        rows = read_rows(path)
+    except ValueError:
+        say(f"{path} holds something else than rows of this program; choose another --out")
+        return BAD_INPUT
     known = {(row["kind"], row["index"]) for row in rows}
     tasks = [Task(kind, k) for kind, n in (("garbage", args.garbage), ("random", args.random)) for k in range(n)]
     left = [task for task in tasks if (task.kind, task.index) not in known]
-    with (args.out / "hard_designs.jsonl").open("w", encoding="utf-8") as file:
-        file.writelines(json.dumps(row) + "\n" for row in rows)
-        file.flush()
+    with appending(path) as add:
         for row in progress(_tried(left, args.solver, args.workers), len(left), "designs"):
             rows.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
+            add(row)
     (args.out / "hard_designs.md").write_text(table(rows) + "\n", encoding="utf-8")
     print(table(rows))
     wrong = [row for row in rows if row["end"] in ("invalid", "lost")]
@@ -235,16 +237,6 @@ def _tried(tasks: list[Task], rules: Rules, workers: int) -> Iterator[dict[str, 
             if not isinstance(answer, dict):  # an exception, a crash or a hang
                 answer = {"kind": task.kind, "index": task.index, "recipe": "", "end": "lost", "why": str(answer)}
             yield {**answer, "seconds": round(seconds, 2)}
-
-
-def _done(path: Path) -> Iterator[dict[str, Any]]:
-    """Rows of an earlier start; a last line that was cut short is left out."""
-    if path.exists():
-        for line in path.read_text("utf-8").splitlines():
-            try:
-                yield json.loads(line)
-            except json.JSONDecodeError:
-                continue
 
 
 def table(rows: list[dict[str, Any]]) -> str:

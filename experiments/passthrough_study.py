@@ -13,11 +13,12 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from experiments.json_lines import Row, appending, read_rows
 from experiments.output import BAD_INPUT, DONE, INTERRUPTED, add_decoder_option, count, make_folder, progress, say, seed
 from experiments.passthrough_table import table
 from experiments.run_folder import cores, locked, terminable, worker_count, write_json
@@ -122,7 +123,7 @@ def study(args: argparse.Namespace) -> int:
 
     path = args.out / VERDICTS
     head = {"seed": args.seed, "decoder": args.decoder, "program": _program(args.decoder)}
-    lines = list(read_verdicts(path)) if path.exists() else []
+    lines = read_rows(path)
     if lines and lines[0] != head:
         say(
             f"{path} was made otherwise: it says {json.dumps(lines[0])}, now it is {json.dumps(head)}; "
@@ -130,26 +131,16 @@ def study(args: argparse.Namespace) -> int:
         )
         return BAD_INPUT
     latents = sample_latents(args.n, np.random.default_rng(args.seed))
-    with path.open("a", encoding="utf-8") as file:
+    with appending(path) as add:
         if not lines:
-            _append(file, head)
-        _judge(args, latents, lines[1:], file)
-    verdicts = by_rules(list(read_verdicts(path))[1:], args.n, {"repair": args.repair, "auto": args.auto})
+            add(head)
+        _judge(args, latents, lines[1:], add)
+    verdicts = by_rules(read_rows(path)[1:], args.n, {"repair": args.repair, "auto": args.auto})
     text, result = table(verdicts)
     write_json(args.out / RESULT, head | {"n": args.n} | result)
     (args.out / TABLE).write_text(text + "\n", encoding="utf-8")
     print(text)
     return DONE
-
-
-def read_verdicts(path: Path) -> Iterator[dict[str, Any]]:
-    """The lines of a file; one that a killed program left unfinished at its end is cut off."""
-    data = path.read_bytes()
-    whole = data[: data.rfind(b"\n") + 1]
-    if len(whole) < len(data):
-        with path.open("r+b") as file:
-            file.truncate(len(whole))
-    return (json.loads(line) for line in whole.splitlines())
 
 
 def by_rules(lines: list[dict[str, Any]], n: int, limits: dict[str, int]) -> dict[str, dict[int, dict[str, Any]]]:
@@ -168,7 +159,9 @@ def by_rules(lines: list[dict[str, Any]], n: int, limits: dict[str, int]) -> dic
     return {rules: dict(sorted(verdicts.items())) for rules, verdicts in found.items() if verdicts}
 
 
-def _judge(args: argparse.Namespace, latents: NDArray[np.float32], lines: list[dict[str, Any]], file: Any) -> None:
+def _judge(
+    args: argparse.Namespace, latents: NDArray[np.float32], lines: list[Row], add: Callable[[Row], None]
+) -> None:
     from evo.pool import Pool
     from mfg.outcome import Failure
 
@@ -186,7 +179,7 @@ def _judge(args: argparse.Namespace, latents: NDArray[np.float32], lines: list[d
             for task, answer, seconds in progress(pool.run(tasks), len(tasks), part) if tasks else ():
                 if isinstance(answer, Failure):
                     answer = {"design": None, "verdicts": {rules: _failed(answer) for rules in RULES_OF[part]}}
-                _append(file, {"body": task.body, "part": part, **answer, "seconds": round(seconds, 3)})
+                add({"body": task.body, "part": part, **answer, "seconds": round(seconds, 3)})
                 if _refused(answer["verdicts"].get("search")):
                     refused.add(task.body)
 
@@ -194,11 +187,6 @@ def _judge(args: argparse.Namespace, latents: NDArray[np.float32], lines: list[d
 def _refused(verdict: dict[str, Any] | None) -> bool:
     """Whether solvers refused a body; one that was lost might be lost again."""
     return verdict is not None and verdict["outcome"] not in ("passed", "worker")
-
-
-def _append(file: Any, line: dict[str, Any]) -> None:
-    file.write(json.dumps(line, allow_nan=False) + "\n")
-    file.flush()
 
 
 def _verdict(outcome: Outcome) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from experiments import check_builds
-from experiments.check_builds import read_rows
+from experiments.check_builds import earlier_rows
 from experiments.foreign_check import admesh_flaws, overlaps, prusa_flaws
 from experiments.output import BadInput
 from mfg.blueprint import Blueprint
@@ -87,7 +87,7 @@ def test_rows_of_something_else_are_refused(tmp_path: Path, line: str) -> None:
     path = tmp_path / "rows.jsonl"
     path.write_text(line + "\n")
     with pytest.raises(BadInput, match="name another file"):
-        read_rows(path, SETTINGS)
+        earlier_rows(path, SETTINGS)
     assert path.read_text() == line + "\n"
 
 

@@ -15,7 +15,8 @@ import pytest
 from decoder.latent import make_decoder, sample_latents
 from evo.judge import Judge
 from experiments import passthrough_study as command
-from experiments.passthrough_study import Task, Work, by_rules, read_verdicts
+from experiments.json_lines import read_rows
+from experiments.passthrough_study import Task, Work, by_rules
 from experiments.passthrough_table import table
 from mfg.pipeline import score
 
@@ -70,7 +71,7 @@ def result(folder: Path) -> dict[str, Any]:
 
 
 def lines(folder: Path) -> list[dict[str, Any]]:
-    found = list(read_verdicts(folder / "verdicts.jsonl"))
+    found = list(read_rows(folder / "verdicts.jsonl"))
     return [{name: value for name, value in line.items() if name != "seconds"} for line in found]
 
 
