@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.bench_search import search
 from experiments.bench_training import training
-from experiments.measuring import clock, peak, timed
+from experiments.measuring import clock, peak, throughput, timed
 from experiments.output import VERSION, count, make_folder, progress, say
 from experiments.run_folder import cores
 
@@ -206,19 +206,13 @@ def workers(n: int) -> Iterator[Row]:
 
     from decoder.latent import sample_latents
     from evo.evaluate import Evaluate
-    from evo.evaluation import Candidate, Evaluation
-    from evo.pool import Pool
+    from evo.evaluation import Candidate
 
     latents = sample_latents(n + 2, np.random.default_rng(SEED))
     tasks = [Candidate(0, k, latent) for k, latent in enumerate(latents)]
     rates = []
     for number in (1, 2):
-        with Pool[Candidate, Evaluation](Evaluate(SEED), number, 300.0) as pool:
-            list(pool.run(tasks[:2]))  # The workers start and warm up.
-            started = time.perf_counter()
-            for _ in progress(pool.run(tasks[2:]), n, f"{number} workers"):
-                pass
-            rates.append(n / (time.perf_counter() - started))
+        rates.append(throughput(Evaluate(SEED), tasks, number, f"{number} workers"))
         yield row(f"evaluations, {number} worker{'s' * (number > 1)}", rates[-1], "1/s")
     yield row("two workers against one", rates[1] / rates[0], "x")
 

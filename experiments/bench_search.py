@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from experiments.measuring import clock, peak, timed
+from experiments.measuring import TIMEOUT, clock, peak, throughput, timed
 from experiments.output import progress
 from experiments.study import decoder_of
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 SCORE, BUILD, MEMORY, TWO = 0.25, 1.2, 600.0, 1.8  # goals: [s], [s], [MiB], ratio
 SEED = 0
-TIMEOUT = 300.0  # of one design [s]
 
 Row = dict[str, Any]
 
@@ -87,15 +86,8 @@ def search(row: Callable[..., Row], n: int) -> Iterator[Row]:
     built = [cost.build for cost in passed if cost.build is not None]
     yield row("search: build", statistics.median(built), "s/design", f"<= {BUILD}")
     yield row("search: peak memory", max(cost.memory for cost in found), "MiB", f"<= {MEMORY:g}", "one process, all")
-    rates = []
-    for number in (1, 2):
-        with Pool[Candidate, Cost](Judge(build=False), number, TIMEOUT) as pool:
-            list(pool.run(tasks[:2]))
-            started = time.perf_counter()
-            for _ in progress(pool.run(tasks[2:]), n, f"search, {number} workers"):
-                pass
-            rates.append(n / (time.perf_counter() - started))
-    yield row("search: two processes against one", rates[1] / rates[0], "x", f">= {TWO}")
+    one, two = (throughput(Judge(build=False), tasks, number, f"search, {number} workers") for number in (1, 2))
+    yield row("search: two processes against one", two / one, "x", f">= {TWO}")
     yield from _motor_seats(row, [_body(task) for task in tasks[:6]])
 
 

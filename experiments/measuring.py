@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+from experiments.output import progress
+
 MIB = 2**20
+TIMEOUT = 300.0  # of one task [s]
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
+Task = TypeVar("Task")
 
 
 def clock(action: Callable[[], object], now: Callable[[], float] = time.perf_counter) -> float:
@@ -26,6 +30,16 @@ def timed(action: Callable[Given, Result], *given: Given.args, **named: Given.kw
     started = time.perf_counter()
     result = action(*given, **named)
     return time.perf_counter() - started, result
+
+
+def throughput(work: Callable[[Task], object], tasks: Sequence[Task], workers: int, what: str) -> float:
+    """Tasks per second of wall time on so many worker processes; the first two warm them up and do not count."""
+    from evo.pool import Pool
+
+    with Pool[Task, object](work, workers, TIMEOUT) as pool:
+        list(pool.run(tasks[:2]))
+        seconds = clock(lambda: list(progress(pool.run(tasks[2:]), len(tasks) - 2, what)))
+    return (len(tasks) - 2) / seconds
 
 
 def peak() -> float:
