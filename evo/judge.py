@@ -13,7 +13,7 @@ from decoder.design import VoxelDesign
 from mfg.catalogue import Catalogue
 from mfg.library import Library
 from mfg.parts import PAPER
-from mfg.pipeline import RULES, Outcome, Rules, run, score
+from mfg.pipeline import DEFAULT, RULES, Outcome, Rules, run, score
 from mfg.selection import Drivers, Margins
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Judge:
         drivers: which of its motors count, see `mfg.selection.Margins`: "only" for robots that `hardware` shall drive.
     """
 
-    rules: Rules = "paper"
+    rules: Rules = DEFAULT
     catalogue: Catalogue = PAPER
     library: Library | None = None
     drivers: Drivers = "prefer"

@@ -73,7 +73,7 @@ def main() -> int:
 
 
 def designs(n: int) -> Iterator[Row]:
-    """Seconds per design for decode, score and build, split by stage."""
+    """Seconds per design for decode, and by the paper's rules for score and build, split by stage."""
     import numpy as np
 
     from decoder.latent import DEFAULT_DECODER, make_decoder, sample_latents
@@ -92,27 +92,29 @@ def designs(n: int) -> Iterator[Row]:
         bodies += found
     many = sample_latents(BATCH, np.random.default_rng([SEED, BATCH]))
     together = statistics.median(clock(lambda: decoder.decode(many)) for _ in range(BATCHES)) / BATCH
-    score(bodies[0])  # Warms caches that every process fills once.
-    scored = [timed(score, body) for body in progress(bodies[1:], n, "score")]
+    score(bodies[0], rules="paper")  # Warms caches that every process fills once.
+    scored = [timed(score, body, rules="paper") for body in progress(bodies[1:], n, "score")]
     robots = [body for body in bodies if virtual(body).ok]
     models = [timed(lambda b: compile_model(describe(virtual(b).blueprint)), body)[0] for body in robots]
     yield row("decode, one body", statistics.median(decode[1:]), "s/design", f"<= {DECODE}", DEFAULT_DECODER)
     yield row(f"decode, {BATCH} together", together, "s/design", f"<= {DECODE_MANY}", DEFAULT_DECODER)
     yield row("voxels to compiled model", statistics.median(models), "s/design", f"<= {MODEL}", "virtual robot")
-    yield row("score, any design", statistics.median(t for t, _ in scored), "s/design", f"<= {SCORE}")
+    yield row("paper: score, any design", statistics.median(t for t, _ in scored), "s/design", f"<= {SCORE}")
     passed = [(t, o) for t, o in scored if o.ok]
     if not passed:
-        raise SystemExit(f"none of {n} designs can be built, so there is nothing to time; take more with -n")
-    yield row("score, design that passes", statistics.median(t for t, _ in passed), "s/design")
-    yield from stages("score", [o for _, o in passed])
-    built = [timed(build, o.design) for _, o in progress(passed, len(passed), "build")]
-    yield row("build, design that passes", statistics.median(t for t, _ in built), "s/design", f"<= {BUILD}")
-    yield from stages("build", [o for _, o in built], only=("finish",))
+        raise SystemExit(
+            f"none of {n} designs can be built by the paper's rules, so there is nothing to time; take more with -n"
+        )
+    yield row("paper: score, design that passes", statistics.median(t for t, _ in passed), "s/design")
+    yield from stages("paper", [o for _, o in passed])
+    built = [timed(build, o.design, rules="paper") for _, o in progress(passed, len(passed), "build")]
+    yield row("paper: build, design that passes", statistics.median(t for t, _ in built), "s/design", f"<= {BUILD}")
+    yield from stages("paper", [o for _, o in built], only=("finish",))
     with tempfile.TemporaryDirectory() as folder:
         written = [timed(write_blueprint, o, Path(folder) / o.design.key)[0] for _, o in built if o.ok]
-    yield row("write blueprint folder", statistics.median(written), "s/design")
+    yield row("paper: write blueprint folder", statistics.median(written), "s/design")
     agree = sum(o.ok for _, o in built)
-    yield row("passes of score that build confirms", agree / len(built), "", note=f"{agree} of {len(built)}")
+    yield row("paper: passes of score that build confirms", agree / len(built), "", note=f"{agree} of {len(built)}")
 
 
 def stages(name: str, outcomes: list[Outcome], only: tuple[str, ...] = ()) -> Iterator[Row]:

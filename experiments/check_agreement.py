@@ -17,10 +17,10 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from experiments.output import DONE, INFEASIBLE, add_decoder_option, progress
+from experiments.output import DONE, INFEASIBLE, add_decoder_option, add_solver_option, progress
 
 if TYPE_CHECKING:
-    pass
+    from experiments.output import Solvers
 
 LEAST_AGREEMENT, MOST_DIFFERENCE = 0.99, 0.05  # of the benchmark
 
@@ -51,9 +51,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("-n", type=int, default=300, help="random designs (300)")
     parser.add_argument("--seed", type=int, default=0, help="of the random designs (0)")
     add_decoder_option(parser)
+    add_solver_option(parser)
     parser.add_argument("--workers", type=int, default=2, help="processes (2)")
     args = parser.parse_args(argv)
-    tasks = [(args.decoder, args.seed, index) for index in range(args.n)]
+    tasks = [(args.decoder, args.solver, args.seed, index) for index in range(args.n)]
     with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
         found = list(progress(pool.imap(compare, tasks), args.n, "comparing"))
     counts = collections.Counter(c.kind for c in found)
@@ -69,23 +70,22 @@ def main(argv: list[str] | None = None) -> int:
     return DONE if good else INFEASIBLE
 
 
-def compare(task: tuple[str, int, int]) -> Comparison:
-    """Take the design of (decoder, seed, index) through both paths."""
+def compare(task: tuple[str, Solvers, int, int]) -> Comparison:
+    """Take the design of (decoder, seed, index) through both paths of some rules."""
     import numpy as np
 
     from decoder.latent import sample_latents
     from experiments.study import decoder_of
-    from mfg.finish import FinishSolver
     from mfg.outcome import Failure, Stage
-    from mfg.pipeline import score
+    from mfg.pipeline import RULES, score
 
-    name, seed, index = task
+    name, rules, seed, index = task
     design = decoder_of(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
-    outcome = score(design)
+    outcome = score(design, rules=rules)
     fast = "passed" if outcome.failure is None else str(outcome.failure)
     if outcome.failure is not None and outcome.failure.stage != Stage.PRINT:
         return Comparison(index, fast, fast, 0.0)
-    full = FinishSolver().solve(outcome.blueprint)
+    full = RULES[rules][-1].solve(outcome.blueprint)
     if isinstance(full, Failure):
         return Comparison(index, fast, str(full), 0.0)
     pairs = zip(outcome.scores.values(), full.scores.values(), strict=True)

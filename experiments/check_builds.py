@@ -1,6 +1,6 @@
 """Check the files of many builds by foreign eyes: every STL and 3MF read back, every clearance by exact booleans.
 
-    python -m experiments.check_builds -n 50 --seed 0 --solver search --out builds.jsonl --slice 3
+    python -m experiments.check_builds -n 50 --seed 0 --out builds.jsonl --slice 3
 
 Random designs are drawn until n of them pass the solvers; then each is written, read back and measured, and the first
 K are sliced whole. One line of JSON per design is kept as it goes, so that the same command goes on where an earlier
@@ -22,7 +22,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from experiments.json_lines import Row, appending, read_rows
-from experiments.output import DONE, INFEASIBLE, SOLVERS, BadInput, add_decoder_option, progress, say
+from experiments.output import DONE, INFEASIBLE, BadInput, add_decoder_option, add_solver_option, progress, say
 
 if TYPE_CHECKING:
     from decoder.latent import Decoder
@@ -37,10 +37,10 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.check_builds", description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=50, help="designs that must pass (50)")
     parser.add_argument("--seed", type=int, default=0, help="of the random designs (0)")
-    parser.add_argument("--solver", choices=SOLVERS, default="paper", help="how solvers search (paper)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="keep one line of JSON per design, and go on from it")
     parser.add_argument("--slice", type=int, default=0, metavar="K", help="slice the first K robots whole (0)")
     add_decoder_option(parser)
+    add_solver_option(parser)
     args = parser.parse_args(argv)
     try:
         rows = checked_rows(args.n, args.seed, args.decoder, args.solver, args.slice, args.out)

@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 from experiments.output import (
     DECODERS,
     DEFAULT_DECODER,
+    DEFAULT_SOLVER,
     MOST_BODIES,
     SEED_BOUND,
     WEIGHTS_SUFFIX,
@@ -169,7 +170,7 @@ class Evolve(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["evolve"]
     seed: Seed = 0
     decoder: DecoderName = DEFAULT_DECODER
-    solver: Solvers = "paper"
+    solver: Solvers = DEFAULT_SOLVER
     catalogue: Catalogues = "paper"
     parts: Folder | None = None
     workers: Workers | None = None
@@ -205,7 +206,7 @@ class Study(Struct, frozen=True, forbid_unknown_fields=True):
     seed: Seed = 0
     decoder: DecoderName = DEFAULT_DECODER
     prior: Priors = "normal"
-    solver: Solvers = "paper"
+    solver: Solvers = DEFAULT_SOLVER
     catalogue: Catalogues = "paper"
     parts: Folder | None = None
     repair: bool = False
@@ -230,7 +231,7 @@ class Sketch(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["sketch"]
     design: Annotated[str, Meta(min_length=1)]
     seed: Seed = 0
-    solver: Solvers = "paper"
+    solver: Solvers = DEFAULT_SOLVER
     catalogue: Catalogues = "paper"
     parts: Folder | None = None
     film: Film = 6.0

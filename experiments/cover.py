@@ -29,16 +29,21 @@ def main() -> int:
 
     from decoder.sketch import load_design
     from experiments.best import BLUEPRINT, BUNDLE
+    from experiments.config import Evolve, Sketch, load_config
+    from experiments.judging import judge_of
     from experiments.policy import load_driver
+    from experiments.run_folder import CONFIG
     from mfg.picture import contact_sheet, picture_of_blueprint, picture_of_design
-    from mfg.pipeline import build
     from sim.closed_loop import roll_out_policy
     from sim.model import load_model
     from sim.video import strip
 
     robot = args.run / "best" / BLUEPRINT
     design = load_design(robot / "design.npz")
-    blueprint = build(design).blueprint
+    config = load_config(args.run / CONFIG)
+    assert isinstance(config, Evolve | Sketch)  # only these have a winner
+    judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
+    blueprint = judge.build(design).blueprint
     model = load_model(robot / "robot.xml")
     driver = load_driver(args.run / "best" / BUNDLE, model)
     rollouts = roll_out_policy(model, driver.actor, 10.0, time_constant=driver.time_constant)

@@ -133,7 +133,7 @@ def _prior(evaluation: Evaluation) -> str:
     prior = evaluation.prior
     rows = [_row("one connected tree with at least 2 joints", prior.one_tree, "%")]
     if prior.passing.n:
-        rows.append(_row("can be built, by the solvers' fast verdict", prior.passing, "%"))
+        rows.append(_row("can be built, by the fast verdict of the paper's rules", prior.passing, "%"))
     counts = sorted({*prior.joint_counts, *prior.tree_joint_counts})
     histogram = [
         ["all"] + [str(prior.joint_counts.get(k, 0)) for k in counts],
@@ -213,7 +213,7 @@ def _limits(card: Card) -> str:
         *(f"Missed goal: {b.name}, {_amount(b.value, b.unit)} instead of {b.direction} {_amount(b.goal, b.unit)}."
           for b in missed),
         f"Of the prior's samples {_amount(bad, '%')} are no connected tree with two joints. The decoder does not "
-        "judge: whether a body can be built is what the solvers say.",
+        "judge: whether a body can be built is what the solvers say, here those of the paper's rules.",
         f"Bodies have at most {max(card.held_out.segments)} segments, joined by hinges into one tree. Other bodies are "
         "encoded as the nearest of that kind; the table above says how near.",
         f"{evaluation.interpolation.changing_steps} of {evaluation.interpolation.steps} steps of 1 % change the tree, "

@@ -2,10 +2,10 @@
 
     python -m experiments.fidelity_study -n 10 --seed 0 --out runs/fidelity
 
-Random bodies of the decoder that pass `bodyplan score` walk by the same random open-loop gaits at every fidelity. All
-levels start from the pose in which the fitted model lies still. The reference is flex-fine. Contact makes walking
-chaotic, so every level is run a second time from a start that is a micrometre higher: how well a level agrees with
-itself is the most that it can agree with another.
+Random bodies of the decoder that pass `bodyplan score` by the chosen rules walk by the same random open-loop gaits at
+every fidelity. All levels start from the pose in which the fitted model lies still. The reference is flex-fine. Contact
+makes walking chaotic, so every level is run a second time from a start that is a micrometre higher: how well a level
+agrees with itself is the most that it can agree with another.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import DONE, add_decoder_option, count, make_folder, progress, say, seed
+from experiments.output import DONE, add_decoder_option, add_solver_option, count, make_folder, progress, say, seed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from experiments.output import Solvers
     from mfg.blueprint import Blueprint
     from sim.model import Model
 
@@ -85,14 +86,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=2, help="processes (2)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the table and all speeds")
     add_decoder_option(parser)
+    add_solver_option(parser)
     args = parser.parse_args(argv)
     folder = make_folder(args.out)
     for library in ("OMP", "OPENBLAS"):  # before the workers import them
         os.environ[f"{library}_NUM_THREADS"] = "1"
     began = time.time()
     tasks = [
-        (args.decoder, args.seed, index, args.gaits, args.seconds)
-        for index in progress(_passing(args.decoder, args.seed, args.n), args.n, "bodies that pass")
+        (args.decoder, args.solver, args.seed, index, args.gaits, args.seconds)
+        for index in progress(_passing(args.decoder, args.solver, args.seed, args.n), args.n, "bodies that pass")
     ]
     with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
         found = list(progress(pool.imap(study, tasks), args.n, "walking"))
@@ -104,26 +106,26 @@ def main(argv: list[str] | None = None) -> int:
     from experiments.run_folder import write_json
 
     bodies = [
-        {"index": task[2], "levels": [asdict(w) for w in walks]} for task, walks in zip(tasks, found, strict=True)
+        {"index": task[3], "levels": [asdict(w) for w in walks]} for task, walks in zip(tasks, found, strict=True)
     ]
     write_json(folder / RESULT, {
-        "machine": machine(), "seed": args.seed, "decoder": args.decoder, "gaits": args.gaits, "seconds": args.seconds,
-        "levels": result, "bodies": bodies,
+        "machine": machine(), "seed": args.seed, "decoder": args.decoder, "solver": args.solver, "gaits": args.gaits,
+        "seconds": args.seconds, "levels": result, "bodies": bodies,
     })  # fmt: skip
     (folder / TABLE).write_text(table, encoding="utf-8")
     return DONE
 
 
-def study(task: tuple[str, int, int, int, float]) -> list[Walks]:
-    """Let the body of (decoder, seed, index) walk by so many gaits for so long, at every level."""
+def study(task: tuple[str, Solvers, int, int, int, float]) -> list[Walks]:
+    """Let the body of (decoder, rules, seed, index) walk by so many gaits for so long, at every level."""
     import numpy as np
 
     from sim.gaits import decode, random_points
     from sim.model import drive_of
     from sim.rollout import measure, roll_out, settle
 
-    name, seed, index, gaits, seconds = task
-    blueprint = _blueprint(name, seed, index)
+    name, rules, seed, index, gaits, seconds = task
+    blueprint = _blueprint(name, rules, seed, index)
     assert blueprint is not None  # it passed before
     found: list[Walks] = []
     pose: NDArray[np.float64] | None = None
@@ -214,17 +216,17 @@ def _model(blueprint: Blueprint, level: str) -> tuple[Model, float]:
     return model, time.perf_counter() - begun
 
 
-def _passing(name: str, seed: int, wanted: int) -> Iterator[int]:
-    """Indices of the first random bodies that can be built."""
+def _passing(name: str, rules: Solvers, seed: int, wanted: int) -> Iterator[int]:
+    """Indices of the first random bodies that can be built by some rules."""
     index = 0
     while wanted:
-        if _blueprint(name, seed, index) is not None:
+        if _blueprint(name, rules, seed, index) is not None:
             wanted -= 1
             yield index
         index += 1
 
 
-def _blueprint(name: str, seed: int, index: int) -> Blueprint | None:
+def _blueprint(name: str, rules: Solvers, seed: int, index: int) -> Blueprint | None:
     """The body of a seed and an index, or None where it cannot be built."""
     import numpy as np
 
@@ -233,7 +235,7 @@ def _blueprint(name: str, seed: int, index: int) -> Blueprint | None:
     from mfg.pipeline import score
 
     design = decoder_of(name).decode(sample_latents(1, np.random.default_rng([seed, index])))[0]
-    outcome = score(design)
+    outcome = score(design, rules=rules)
     return outcome.blueprint if outcome.ok else None
 
 

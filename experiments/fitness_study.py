@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.json_lines import appending
-from experiments.output import DONE, make_folder, progress, say
+from experiments.output import DONE, BadInput, add_decoder_option, add_solver_option, make_folder, progress, say
 from experiments.run_folder import cores
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from experiments.output import Solvers
     from sim.model import Model
     from sim.rollout import Behaviour
 
@@ -41,11 +42,13 @@ class Ladder:
         seed: of everything but the body.
         steps: of the long training.
         decoder: that made the latents' bodies.
+        rules: by which its twin is built.
     """
 
     seed: int
     steps: int
     decoder: str
+    rules: Solvers
 
     def __call__(self, latent: np.ndarray) -> dict[str, Any] | None:
         """None for a body that cannot be built."""
@@ -61,7 +64,7 @@ class Ladder:
         from sim.training import Race, Trainer, Training, starts
 
         design = make_decoder(self.decoder).decode(latent[None])[0]
-        built = pipeline.build(design)
+        built = pipeline.build(design, rules=self.rules)
         bare = pipeline.virtual(design)
         if not built.ok or not bare.ok:
             return None
@@ -70,7 +73,8 @@ class Ladder:
         seated = describe(built.blueprint)
         twin = with_latency_room(make_spec(seated))
         row: dict[str, Any] = {
-            "design": design.key, "joints": model.nu, "mass_kg": virtual.mass, "body_length_m": body_length(model),
+            "design": design.key, "solver": self.rules, "joints": model.nu, "mass_kg": virtual.mass,
+            "body_length_m": body_length(model),
         }  # fmt: skip
         clock = time.process_time()
 
@@ -144,19 +148,27 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=30, help="bodies that can be built (30)")
     parser.add_argument("--seed", type=int, default=0, help="of the bodies and of everything else (0)")
     parser.add_argument("--steps", type=int, default=2_000_000, help="of the long training (2000000)")
-    parser.add_argument("--decoder", default="vae")
+    add_decoder_option(parser)
+    add_solver_option(parser)
     parser.add_argument("--workers", type=int, default=cores(), help="processes (one per core)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     args = parser.parse_args()
     from experiments.fitness_table import write_tables
 
-    run(args.n, args.seed, args.steps, args.decoder, args.workers, make_folder(args.out))
+    try:
+        run(args.n, args.seed, args.steps, args.decoder, args.solver, args.workers, make_folder(args.out))
+    except BadInput as trouble:
+        parser.error(str(trouble))
     print(write_tables(args.out))
     return DONE
 
 
-def run(n: int, seed: int, steps: int, decoder: str, workers: int, folder: Path) -> None:
-    """Measure the first n bodies of the prior that can be built, those of them that are not measured yet."""
+def run(n: int, seed: int, steps: int, decoder: str, rules: Solvers, workers: int, folder: Path) -> None:
+    """Measure the first n bodies of the prior that can be built, those of them that are not measured yet.
+
+    Raises:
+        BadInput: if the folder holds bodies that were built by other rules.
+    """
     import numpy as np
 
     from decoder.latent import sample_latents
@@ -164,16 +176,19 @@ def run(n: int, seed: int, steps: int, decoder: str, workers: int, folder: Path)
     from mfg.outcome import Failure
 
     path = folder / "bodies.jsonl"
-    done = {row["design"] for row in read_rows(path)}
+    rows = read_rows(path)
+    if any(row.get("solver", "paper") != rules for row in rows):  # an older row is of the paper's rules
+        raise BadInput(f"{path} holds bodies built by other rules than {rules}; choose another --out")
+    done = {row["design"] for row in rows}
     latents = sample_latents(20 * n, np.random.default_rng(seed))
     chosen: list[tuple[str, Any]] = []
-    with Pool[Any, Any](Passes(decoder), workers, BODY_TIMEOUT) as pool:
+    with Pool[Any, Any](Passes(decoder, rules), workers, BODY_TIMEOUT) as pool:
         keys: dict[bytes, str | None] = {}
         for latent, key, _ in progress(pool.run(latents[: 6 * n]), 6 * n, "scoring"):
             keys[latent.tobytes()] = None if isinstance(key, Failure) else key
     chosen = [(key, latent) for latent in latents[: 6 * n] if (key := keys[latent.tobytes()]) is not None][:n]
     todo = [latent for key, latent in chosen if key not in done]
-    with Pool[Any, Any](Ladder(seed, steps, decoder), workers, BODY_TIMEOUT) as pool, appending(path) as add:
+    with Pool[Any, Any](Ladder(seed, steps, decoder, rules), workers, BODY_TIMEOUT) as pool, appending(path) as add:
         for _, row, seconds in progress(pool.run(todo), len(todo), "bodies"):
             if isinstance(row, Failure) or row is None:
                 say(f"a body is lost: {row}")
@@ -183,9 +198,10 @@ def run(n: int, seed: int, steps: int, decoder: str, workers: int, folder: Path)
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """The key of a latent's body if it can be built, else None."""
+    """The key of a latent's body if it can be built by some rules, else None."""
 
     decoder: str
+    rules: Solvers
 
     def __call__(self, latent: np.ndarray) -> str | None:
         """Decode and build: what passes on fields may, rarely, fail on exact solids."""
@@ -193,7 +209,8 @@ class Passes:
         from mfg import pipeline
 
         design = make_decoder(self.decoder).decode(latent[None])[0]
-        return design.key if pipeline.score(design).ok and pipeline.build(design).ok else None
+        built = pipeline.score(design, rules=self.rules).ok and pipeline.build(design, rules=self.rules).ok
+        return design.key if built else None
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

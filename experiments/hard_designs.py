@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.json_lines import appending, read_rows
-from experiments.output import BAD_INPUT, DONE, INFEASIBLE, count, make_folder, progress, say
+from experiments.output import BAD_INPUT, DONE, INFEASIBLE, add_solver_option, count, make_folder, progress, say
 from experiments.run_folder import cores
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--random", type=count, default=10000, help="bodies of the default decoder (10000)")
     parser.add_argument("--garbage", type=count, default=2000, help="mutants and garbage (2000)")
-    parser.add_argument("--solver", choices=("paper", "search"), default="search", help="rules (search)")
+    add_solver_option(parser)
     parser.add_argument("--workers", type=count, default=cores(), help="processes (one per core)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="hard_designs.jsonl and .md")
     args = parser.parse_args(argv)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.output import CATALOGUES, SOLVERS, BadInput, Catalogues, Solvers, say
+from experiments.output import CATALOGUES, BadInput, Catalogues, Solvers, add_solver_option, say
 
 if TYPE_CHECKING:
     from evo.judge import Judge
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def add_pipeline_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose solvers and components."""
-    parser.add_argument("--solver", choices=SOLVERS, default="paper", help="how solvers search (paper)")
+    add_solver_option(parser)
     parser.add_argument(
         "--catalogue", choices=CATALOGUES, default="paper",
         help="which components: the paper's, or auto: those that each robot's own gait asks for, which takes some ten "

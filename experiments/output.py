@@ -28,6 +28,7 @@ Priors = Literal["normal", "uniform"]
 Solvers = Literal["paper", "search"]
 Catalogues = Literal["paper", "auto"]
 PRIORS, SOLVERS, CATALOGUES = get_args(Priors), get_args(Solvers), get_args(Catalogues)
+DEFAULT_SOLVER: Solvers = "search"
 
 MOST_BODIES = 1_000_000  # in one sample or study: latents of that many fill 2 GB
 SEED_BOUND = 2**63  # seeds are stored as signed 64-bit integers in run files
@@ -90,6 +91,14 @@ def add_decoder_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--decoder", type=decoder, default=DEFAULT_DECODER, metavar="|".join((*DECODERS, "FILE")),
         help=f"what turns latents into bodies; a file ends in {WEIGHTS_SUFFIX} ({DEFAULT_DECODER})",
+    )  # fmt: skip
+
+
+def add_solver_option(parser: argparse.ArgumentParser) -> None:
+    """Let the user choose the rules by which a design becomes a robot."""
+    parser.add_argument(
+        "--solver", choices=SOLVERS, default=DEFAULT_SOLVER,
+        help=f"by which rules: the paper's, or a search for more ways to build the same body ({DEFAULT_SOLVER})",
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from experiments.output import SEED_BOUND
+from experiments.output import DEFAULT_SOLVER, SEED_BOUND, Solvers
 
 if TYPE_CHECKING:
     from sim.training import Training
@@ -18,6 +18,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         kind: "policy".
         robot: a blueprint folder, its robot.xml, or a design; relative to a configuration file that names it.
+        solver: how manufacturing constraints are solved, where the robot is a design that is built first.
         seed: of everything random.
         steps: control periods, all copies together.
         starts: what races: the open-loop gait, corrected by the policy, and free policies along headings of the body;
@@ -36,6 +37,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: Literal["policy"]
     robot: Annotated[str, Meta(min_length=1)]
+    solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
     steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_500_000
     starts: Annotated[int, Meta(ge=1, le=16)] = 4

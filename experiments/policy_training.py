@@ -19,6 +19,7 @@ from experiments.output import BadInput, progress, say
 from experiments.run_folder import CHECKPOINT, CONFIG, RESULT, check_folder, keep_config, write_json
 
 if TYPE_CHECKING:
+    from experiments.output import Solvers
     from experiments.policy_config import Policy
     from mfg.description import Description
     from sim.environment import Explosion
@@ -61,7 +62,7 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     if (folder / RESULT).exists():
         say(f"{folder} is finished; it is a bundle for `bodyplan simulate --policy` and `bodyplan deploy`")
         return dict(json.loads((folder / RESULT).read_text(encoding="utf-8")))
-    description, source = _robot(Path(config.robot), folder)
+    description, source = _robot(Path(config.robot), config.solver, folder)
     model = _model(config, source)
     keep_config(config, folder)
     _same_robot(source, mark.parent / ROBOT, config.robot)
@@ -79,8 +80,8 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     return _conclude(config, folder, source, description, model, trainer, config_hash(config))
 
 
-def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
-    """The robot as described, and the folder of its model; a design is built first."""
+def _robot(path: Path, rules: Solvers, folder: Path) -> tuple[Description, Path]:
+    """The robot as described, and the folder of its model; a design is built first, by these rules."""
     from mfg.manifest import read_description
 
     if path.suffix.lower() == ".xml":
@@ -93,7 +94,7 @@ def _robot(path: Path, folder: Path) -> tuple[Description, Path]:
         from mfg.export import write_blueprint
         from mfg.pipeline import build
 
-        outcome = build(read_design(path))
+        outcome = build(read_design(path), rules=rules)
         if not outcome.ok:
             raise Impossible(f"{path} cannot be built: {outcome.failure}")
         write_blueprint(outcome, folder / BLUEPRINT)

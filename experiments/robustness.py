@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import BAD_INPUT, DONE, make_folder, progress, say
+from experiments.output import BAD_INPUT, DONE, BadInput, make_folder, progress, say
 from experiments.run_folder import cores, write_json
 
 if TYPE_CHECKING:
     from mujoco import MjSpec
 
+    from mfg.description import Description
     from sim.randomisation import Draws
 
 SECONDS, COPIES = 10.0, 8  # of each walk, and walks of each condition
@@ -111,16 +113,33 @@ def _spec(folder: Path, condition: Condition) -> MjSpec:
 
     level = Fidelity(condition.level)
     if condition.full_hull:
-        from experiments.build import read_design
-        from mfg.description import FULL_HULL, describe
-        from mfg.pipeline import build
-
-        outcome = build(read_design(_blueprint(folder) / "design.npz"))
-        spec = make_spec(describe(outcome.blueprint, hull_vertices=FULL_HULL), fidelity=level)
+        spec = make_spec(_full(_blueprint(folder)), fidelity=level)
         for mesh in spec.meshes:
             mesh.maxhullvert = -1  # no limit
         return spec
     return load_spec(folder / "robot.xml", fidelity=level, timestep=condition.timestep)
+
+
+def _full(folder: Path) -> Description:
+    """The robot of a blueprint folder with every corner of its hulls, by whichever rules it was built.
+
+    Raises:
+        BadInput: if by none of them the same mass comes out.
+    """
+    from experiments.build import read_design
+    from mfg.description import FULL_HULL, describe
+    from mfg.manifest import read_description
+    from mfg.pipeline import DEFAULT, RULES, build
+
+    design, mass = read_design(folder / "design.npz"), read_description(folder).mass
+    for rules in dict.fromkeys((DEFAULT, *RULES)):
+        outcome = build(design, rules=rules)
+        if not outcome.ok:
+            continue
+        robot = describe(outcome.blueprint, hull_vertices=FULL_HULL)
+        if math.isclose(robot.mass, mass, rel_tol=1e-6):
+            return robot
+    raise BadInput(f"{folder} holds another robot than its design gives by any rules with the paper's parts")
 
 
 def _blueprint(folder: Path) -> Path:
@@ -160,9 +179,13 @@ def main() -> int:
     make_folder(args.out)
     work = [(folder, condition) for folder in args.folders for condition in conditions()]
     results: dict[str, dict[str, list[float]]] = {folder.name: {} for folder in args.folders}
-    for folder, condition in progress(work, len(work), "walks"):
-        results[folder.name][condition.name] = speeds(folder, condition, nthread=cores())
-        write_json(args.out / "robustness.json", results)
+    try:
+        for folder, condition in progress(work, len(work), "walks"):
+            results[folder.name][condition.name] = speeds(folder, condition, nthread=cores())
+            write_json(args.out / "robustness.json", results)
+    except BadInput as trouble:
+        say(str(trouble))
+        return BAD_INPUT
     (args.out / "robustness.md").write_text(table(results) + "\n", encoding="utf-8")
     print(table(results))
     return DONE

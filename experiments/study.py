@@ -150,7 +150,7 @@ def main(args: argparse.Namespace) -> int:
             f"--seed {args.seed}",
             f"--decoder {shlex.quote(args.decoder)}",
             f"--prior {args.prior}",
-            *([f"--solver {args.solver}"] if args.solver != "paper" else []),
+            f"--solver {args.solver}",
             *([f"--catalogue {args.catalogue}"] if args.catalogue != "paper" else []),
             *([f"--parts {shlex.quote(parts)}"] if parts is not None else []),
             *(["--repair"] if args.repair else []),

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import DONE, INFEASIBLE, INTERRUPTED, emit, make_folder, say, seed
+from experiments.output import DEFAULT_SOLVER, DONE, INFEASIBLE, INTERRUPTED, SOLVERS, emit, make_folder, say, seed
 from experiments.run_folder import CHECKPOINT, cores, locked, terminable, worker_count
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ exit status: 0 trained, 1 the design cannot be built or its physics explodes, 2 
 to the last chunk is saved, and the command that goes on is printed.
 """
 
-FLAGS = ("steps", "starts", "seed", "task", "target_speed", "history", "pads", "terrain", "film")
+FLAGS = ("solver", "steps", "starts", "seed", "task", "target_speed", "history", "pads", "terrain", "film")
 TASKS = ("speed", "command", "stand", "recover")
 TERRAINS = ("flat", "rough", "potholes", "slope", "steps")
 
@@ -51,6 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = STORY
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
+    parser.add_argument("--solver", choices=SOLVERS, help=f"by which rules a design is built ({DEFAULT_SOLVER})")
     parser.add_argument("--steps", type=int, help="control periods of experience (1500000)")
     parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")

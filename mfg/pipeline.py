@@ -59,6 +59,7 @@ SEARCHING: tuple[Solver, ...] = (
 
 Rules = Literal["paper", "search"]
 RULES: Mapping[Rules, tuple[Solver, ...]] = {"paper": BUILDING, "search": SEARCHING}  # the last makes exact solids
+DEFAULT: Rules = "search"  # wherever a design is solved and nobody says by which rules
 
 
 def scoring(rules: Rules) -> tuple[Solver, ...]:
@@ -144,11 +145,11 @@ def virtual(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
     return run(VIRTUAL, Blueprint(design, catalogue))
 
 
-def score(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = "paper") -> Outcome:
+def score(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = DEFAULT) -> Outcome:
     """Verdict and five scores without exact solids or files: the fast path, used as fitness."""
     return run(scoring(rules), Blueprint(design, catalogue))
 
 
-def build(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = "paper") -> Outcome:
+def build(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = DEFAULT) -> Outcome:
     """The whole blueprint: as `score`, then exact printable solids, masses and scores re-checked on them."""
     return run(RULES[rules], Blueprint(design, catalogue))
