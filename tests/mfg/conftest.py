@@ -40,3 +40,11 @@ def built(creature: VoxelDesign) -> Outcome:
     outcome = build(creature)
     assert outcome.ok, outcome.failure
     return outcome
+
+
+@pytest.fixture(scope="session")
+def plain(creature: VoxelDesign) -> Outcome:
+    """The same by the paper's rules: no lids, nothing split."""
+    outcome = build(creature, rules="paper")
+    assert outcome.ok, outcome.failure
+    return outcome

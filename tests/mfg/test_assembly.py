@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -55,8 +56,9 @@ def places(step: Step) -> list[np.ndarray]:
     return out
 
 
-def parts_of(robot: Blueprint, bodies: set[int], soft: bool) -> list[Solid]:
-    return [p.solid for p in robot.parts if p.body in bodies and (soft or p.material == "rigid")]
+def parts_of(robot: Blueprint, bodies: set[int], soft: bool, without: Collection[str] = ()) -> list[Solid]:
+    chosen = (p for p in robot.parts if p.body in bodies and p.name not in without)
+    return [p.solid for p in chosen if soft or p.material == "rigid"]
 
 
 def motors_of(robot: Blueprint, bodies: set[int]) -> list[Solid]:
@@ -105,7 +107,10 @@ def test_motors_and_boxes_pass_by_exact_booleans_of_what_they_sweep(plans) -> No
     for robot, steps in plans:
         groups = [{b} for b in range(len(robot.bodies))]
         inside: list[Solid] = []
+        open_still = {lid.part for lid in robot.lids}
         for step in steps:
+            if step.kind == "lid":
+                open_still.remove(robot.lids[step.index].part)
             if step.kind == "join":
                 one, two = (next(g for g in groups if b in g) for b in (step.moved[0], step.body))
                 groups = [g for g in groups if g is not one and g is not two] + [one | two]
@@ -113,11 +118,11 @@ def test_motors_and_boxes_pass_by_exact_booleans_of_what_they_sweep(plans) -> No
                 continue
             if step.kind == "motor":
                 mover = motor_solid(robot, robot.seats[step.index])
-                fixed = parts_of(robot, {step.body}, not step.soft)
+                fixed = parts_of(robot, {step.body}, not step.soft, open_still)
             else:
                 mover = box_solid(robot.boxes[step.index])
                 group = next(g for g in groups if step.body in g)
-                fixed = parts_of(robot, group, not step.soft) + motors_of(robot, group) + inside
+                fixed = parts_of(robot, group, not step.soft, open_still) + motors_of(robot, group) + inside
                 inside.append(mover)
             ends = [np.zeros(3)]
             for leg in reversed(step.legs):

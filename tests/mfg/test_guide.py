@@ -25,6 +25,7 @@ from mfg.guide_text import BEARING, HEAD_RATIO, cut_length, holding_torque, setu
 from mfg.manifest import changed_files
 from mfg.pipeline import Outcome
 from mfg.plate import arrange
+from mfg.splitting import pieces
 from mfg.wiring_diagram import bus_ends
 
 VOID = {"meta", "img", "br"}
@@ -67,8 +68,7 @@ class Page(HTMLParser):
 
 def guide_of(outcome: Outcome, **changes: object) -> bytes:
     blueprint = replace(outcome.blueprint, **changes)  # type: ignore[arg-type]
-    bodies = range(len(blueprint.bodies))
-    points = [np.concatenate([p.solid.vertices for p in blueprint.parts if p.body == b]) for b in bodies]
+    points = [piece.points for piece in pieces(blueprint)]
     return guide_html(blueprint, arrange(points, blueprint.catalogue.printer.volume), "layer 0.3 mm <&>")
 
 
@@ -94,9 +94,9 @@ def test_the_page_is_sound_and_stands_alone(page: Page, html: str) -> None:
 
 
 def test_every_picture_decodes_and_shows_something(page: Page, built: Outcome) -> None:
-    joints, bodies = len(built.blueprint.seats), len(built.blueprint.bodies)
-    # cover, parts on plates, all apart, a motor and a join per joint, two boxes, each joint turned
-    assert len(page.pictures) == 1 + bodies + 1 + 2 * joints + 2 + joints
+    joints, printed, lids = len(built.blueprint.seats), len(pieces(built.blueprint)), len(built.blueprint.lids)
+    # cover, parts on plates, all apart, a motor and a join per joint, two boxes with their lids, each joint turned
+    assert len(page.pictures) == 1 + printed + 1 + 2 * joints + 2 + lids + joints
     for uri in page.pictures:
         head, data = uri.split(",", 1)
         assert head == "data:image/png;base64"
@@ -143,9 +143,10 @@ def test_odd_names_are_text_and_nothing_else(built: Outcome) -> None:
     odd = "<script>\"x\" & 'y'</script> ü"
     bodies = tuple(replace(body, name=f"{odd}{k}") for k, body in enumerate(built.blueprint.bodies))
     parts = tuple(replace(part, name=f"{odd} {part.name}") for part in built.blueprint.parts)
+    lids = tuple(replace(lid, part=f"{odd} {lid.part}") for lid in built.blueprint.lids)
     battery = replace(built.blueprint.catalogue.battery, name=odd)
     catalogue = replace(built.blueprint.catalogue, battery=battery)
-    page = Page(guide_of(built, bodies=bodies, parts=parts, catalogue=catalogue, notes=(odd,)).decode())
+    page = Page(guide_of(built, bodies=bodies, parts=parts, lids=lids, catalogue=catalogue, notes=(odd,)).decode())
     assert page.open == []
     assert "script" not in page.names
     assert page.text.count(odd) > 10

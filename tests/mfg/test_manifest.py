@@ -22,6 +22,7 @@ from mfg.manifest import (
 )
 from mfg.pipeline import Outcome
 from mfg.plate import Lay
+from mfg.splitting import pieces
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,7 @@ def test_cables_come_back_with_their_slack_and_every_joint_that_they_cross(built
         return Crossing(hinge, rng.uniform(0, 0.6, 3), span, (a, b), slack)
 
     first, second = blueprint.wires
-    lays = [Lay(0, np.eye(4), np.ones(3))] * len(blueprint.bodies)
+    lays = [Lay(0, np.eye(4), np.ones(3))] * len(pieces(blueprint))
     wires = replace(first, crossings=(crossing(1), crossing(0))), replace(second, crossings=())
     document = manifest(replace(blueprint, wires=wires), describe(blueprint), lays, {})
     (tmp_path / NAME).write_bytes(manifest_bytes(document))

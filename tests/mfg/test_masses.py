@@ -146,7 +146,7 @@ def test_bodies_together_weigh_what_parts_and_components_weigh(built: Outcome) -
         for p in blueprint.parts
     )  # fmt: skip
     bought = catalogue.motor.mass * len(blueprint.seats) + catalogue.battery.mass + catalogue.computer.mass
-    cable = catalogue.wire.mass_per_metre * sum(wire.length for wire in blueprint.wires)
+    cable = catalogue.wire.mass_per_metre * sum(wire.cable_length for wire in blueprint.wires)
     assert_allclose(sum(m.mass for m in blueprint.masses), printed + bought + cable, rtol=1e-9)
 
 

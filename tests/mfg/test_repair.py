@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -85,11 +86,12 @@ def test_what_nothing_mends_keeps_its_own_failure(thin: VoxelDesign) -> None:
 def test_a_body_too_large_for_the_printer_shrinks(hinge: VoxelDesign) -> None:
     from decoder.edits import scaled
 
+    by_the_paper = partial(score, rules="paper")  # the search cuts it into pieces instead
     large = scaled(hinge, 1.6)
-    outcome = score(large)
+    outcome = by_the_paper(large)
     assert outcome.failure is not None
     assert outcome.failure.reason is Reason.TOO_LARGE
-    found = repaired(outcome, score)
+    found = repaired(outcome, by_the_paper)
     assert all("scaled by 0." in change.what for change in found.changes)
 
 

@@ -177,30 +177,30 @@ def test_a_bone_too_thin_for_pegs_is_refused_with_the_reason() -> None:
     assert "\n" not in refused.detail
 
 
-def test_without_the_option_a_finish_is_as_before_and_with_it_nothing_changes_for_what_fits(built: Outcome) -> None:
+def test_without_the_option_a_finish_is_as_before_and_with_it_nothing_changes_for_what_fits(plain: Outcome) -> None:
     assert FinishSolver().split is False
-    before = build_whole(built.design)
+    before = build_whole(plain.design, rules="paper")
     again = FinishSolver(split=True).solve(replace(before.blueprint, parts=(), notes=()))
     assert isinstance(again, Blueprint)
-    for a, b in zip(built.blueprint.parts, again.parts, strict=True):
+    for a, b in zip(plain.blueprint.parts, again.parts, strict=True):
         assert a.name == b.name
         assert_allclose(a.solid.vertices, b.solid.vertices, atol=0)
 
 
 @pytest.fixture(scope="module")
-def cut(built: Outcome) -> Blueprint:
+def cut(plain: Outcome) -> Blueprint:
     """The creature for a printer of half the size."""
     from mfg.pipeline import SCORING
 
-    catalogue = small_printer(built.blueprint, 0.21, 0.21, 0.21).catalogue
+    catalogue = small_printer(plain.blueprint, 0.21, 0.21, 0.21).catalogue
     solvers = tuple(s for s in SCORING if not isinstance(s, PrintabilitySolver))
-    ready = run(solvers, Blueprint(built.design, catalogue))
+    ready = run(solvers, Blueprint(plain.design, catalogue))
     assert ready.ok, ready.failure
     refused = FinishSolver().solve(ready.blueprint)
     assert isinstance(refused, Failure)
     assert refused.reason is Reason.TOO_LARGE
     made = FinishSolver(split=True).solve(ready.blueprint)
-    return checked(built.blueprint, made, 1e-9)
+    return checked(plain.blueprint, made, 1e-9)
 
 
 def test_a_robot_is_cut_and_its_files_know_the_pieces(cut: Blueprint) -> None:
@@ -217,6 +217,6 @@ def test_a_robot_is_cut_and_its_files_know_the_pieces(cut: Blueprint) -> None:
     assert blueprint_files(cut)[NAME] == files[NAME]
 
 
-def test_a_whole_robot_has_no_list_of_pieces(built: Outcome) -> None:
-    assert "pieces" not in json.loads(blueprint_files(built.blueprint)[NAME])
-    assert [piece.name for piece in pieces(built.blueprint)] == [body.name for body in built.blueprint.bodies]
+def test_a_whole_robot_has_no_list_of_pieces(plain: Outcome) -> None:
+    assert "pieces" not in json.loads(blueprint_files(plain.blueprint)[NAME])
+    assert [piece.name for piece in pieces(plain.blueprint)] == [body.name for body in plain.blueprint.bodies]

@@ -47,7 +47,7 @@ def test_every_motor_has_one_cable_and_one_address(built: Outcome) -> None:
     assert [row["to"] for row in table] == [hinge.name for hinge in blueprint.hinges]
     assert len({(row["bus"], row["can_id"]) for row in table}) == len(blueprint.seats)
     for row, wire in zip(table, blueprint.wires, strict=True):
-        assert float(row["length_mm"]) == pytest.approx(1e3 * wire.length, abs=0.5)
+        assert float(row["length_mm"]) == pytest.approx(1e3 * wire.cable_length, abs=0.5)
 
 
 def test_the_slack_in_a_cable_is_named_by_joint(built: Outcome) -> None:
