@@ -161,4 +161,4 @@ def test_parts_are_sized_to_every_candidate(monkeypatch: pytest.MonkeyPatch, eva
     assert one.walk.mass < passed.walk.mass  # the paper's battery is larger than this body's gait asks for
     twin = replace(TWIN, judge=judge)(one)
     assert twin.walk is not None
-    assert twin.walk.mass == pytest.approx(one.walk.mass, rel=0.1)
+    assert twin.walk.mass == pytest.approx(one.walk.mass, rel=0.2)  # the walls about hardware are weighed in the twin

@@ -8,7 +8,7 @@ import pytest
 from decoder.design import VoxelDesign
 from decoder.latent import make_decoder, sample_latents
 from mfg.outcome import Failure
-from mfg.pipeline import BUILDING, SCORING, build, score
+from mfg.pipeline import BODIES, BUILDING, DEFAULT, RULES, SCORING, Rules, build, score, scoring
 
 
 @pytest.fixture(scope="module")
@@ -16,10 +16,11 @@ def designs() -> list[VoxelDesign]:
     return make_decoder("genome").decode(sample_latents(8, np.random.default_rng(77)))
 
 
-def test_score_and_build_agree(designs: list[VoxelDesign]) -> None:
+@pytest.mark.parametrize("rules", RULES)
+def test_score_and_build_agree(designs: list[VoxelDesign], rules: Rules) -> None:
     passed = 0
     for design in designs:
-        fast, full = score(design), build(design)
+        fast, full = score(design, rules=rules), build(design, rules=rules)
         assert fast.ok == full.ok, (fast.failure, full.failure)
         if not fast.ok:
             assert fast.failure == full.failure
@@ -43,7 +44,7 @@ def test_a_failed_design_keeps_what_it_scored(designs: list[VoxelDesign]) -> Non
     for design in designs:
         outcome = score(design)
         ran = list(outcome.seconds)
-        assert len(ran) == len(SCORING) if outcome.ok else len(ran) <= len(SCORING)
+        assert len(ran) == len(scoring(DEFAULT)) if outcome.ok else len(ran) <= len(scoring(DEFAULT))
         document = outcome.to_json()
         assert document["design"] == design.key
         assert document["ok"] is outcome.ok
@@ -55,5 +56,17 @@ def test_a_failed_design_keeps_what_it_scored(designs: list[VoxelDesign]) -> Non
 
 
 def test_building_is_scoring_and_then_solids() -> None:
-    assert BUILDING[: len(SCORING)] == SCORING
+    assert BUILDING[: len(SCORING)] == SCORING == scoring("paper")
     assert len(BUILDING) == len(SCORING) + 1
+    for rules, solvers in RULES.items():
+        assert solvers[:-1] == scoring(rules)
+        assert solvers[: len(BODIES)] == BODIES
+
+
+def test_who_names_no_rules_gets_the_search(designs: list[VoxelDesign]) -> None:
+    assert DEFAULT == "search"
+    refused = {rules: [score(design, rules=rules).failure for design in designs] for rules in RULES}
+    assert refused["paper"] != refused["search"]
+    assert [score(design).failure for design in designs] == refused["search"]
+    built = next(build(design) for design in designs if score(design).ok)
+    assert built.blueprint.lids or any("lid" in note for note in built.blueprint.notes)  # the paper's rules know none
