@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.judging import add_pipeline_options, judge_of
 from experiments.output import (
+    DEFAULT_SOLVER,
     DONE,
     INTERRUPTED,
     PRIORS,
@@ -150,7 +151,7 @@ def main(args: argparse.Namespace) -> int:
             f"--seed {args.seed}",
             f"--decoder {shlex.quote(args.decoder)}",
             f"--prior {args.prior}",
-            f"--solver {args.solver}",
+            *([f"--solver {args.solver}"] if args.solver != DEFAULT_SOLVER else []),
             *([f"--catalogue {args.catalogue}"] if args.catalogue != "paper" else []),
             *([f"--parts {shlex.quote(parts)}"] if parts is not None else []),
             *(["--repair"] if args.repair else []),

@@ -225,9 +225,10 @@ def test_the_catalogues_on_offer_exist():
 def test_the_rules_on_offer_are_those_of_the_pipeline():
     from typing import get_args
 
-    from mfg.pipeline import RULES, Rules
+    from mfg.pipeline import DEFAULT, RULES, Rules
 
     assert output.SOLVERS == get_args(Rules) == tuple(RULES)
+    assert output.DEFAULT_SOLVER == DEFAULT
 
 
 @pytest.mark.parametrize("command", ["score", "build", "study", "simulate"])

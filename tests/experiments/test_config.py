@@ -215,3 +215,5 @@ def test_defaults_are_those_of_the_library() -> None:
 def test_choices_are_those_of_the_command_line() -> None:
     assert tuple(toml_document.choices(c.DecoderName)) == output.DECODERS
     assert c.Evolve("evolve").decoder == c.Study("study").decoder == output.DEFAULT_DECODER
+    kinds = (c.Evolve("evolve"), c.Study("study"), c.Sketch("sketch", "x.vox"), c.Policy("policy", "x.vox"))
+    assert {kind.solver for kind in kinds} == {output.DEFAULT_SOLVER}

@@ -21,7 +21,7 @@ from evo.judge import Judge
 from experiments import best, run, run_folder
 from mfg.outcome import Failure, Reason, Scores, Stage
 from mfg.parts import PAPER
-from mfg.pipeline import BUILDING
+from mfg.pipeline import RULES
 from sim.actor import Gait
 
 CONFIG = """
@@ -212,7 +212,7 @@ def test_a_run_does_not_go_on_with_other_numbers_in_the_program(
             heavier = replace(PAPER, motor=replace(PAPER.motor, mass=0.481))
             changed.setattr("experiments.judging.judge_of", lambda *_, **__: Judge(catalogue=heavier))
         elif what == "solvers":
-            changed.setattr("mfg.pipeline.RULES", {"paper": BUILDING[:-1]})
+            changed.setattr("mfg.pipeline.RULES", {rules: solvers[:-1] for rules, solvers in RULES.items()})
         else:
             changed.setattr("decoder.latent.make_decoder", lambda _: GenomeDecoder(gap=2.6))
         said = experiment("--resume")

@@ -108,7 +108,7 @@ def test_a_study_leaves_what_the_contract_says(quick: Command, tmp_path: Path) -
     assert set(result) >= KEYS
     assert set(result["lda"]) >= LDA_KEYS
     assert set(result["counts"]) == COUNTS
-    assert (result["n"], result["seed"], result["decoder"], result["solver"]) == (90, 5, "genome", "paper")
+    assert (result["n"], result["seed"], result["decoder"], result["solver"]) == (90, 5, "genome", "search")
     assert sum(result["counts"].values()) == 90
     assert result["pass_rate"] == result["counts"]["passed"] / 90
     low, high = result["pass_rate_95"]
@@ -169,12 +169,12 @@ def test_an_interrupted_study_says_all_that_its_continuation_needs(
     monkeypatch.setattr(study, "Score", Mending)
     assert quick("--repair", out=tmp_path / "undisturbed").status == 0
     Fake.calls, Fake.stop_at = 0, 30
-    said = quick("--repair", "--solver", "search", "--catalogue", "auto")
+    said = quick("--repair", "--solver", "paper", "--catalogue", "auto")
     assert said.status == 3
-    assert "--prior normal --solver search --catalogue auto --repair --out" in said.err
+    assert "--prior normal --solver paper --catalogue auto --repair --out" in said.err
     Fake.stop_at = 0
     assert quick("--repair", "--resume").status == 2  # other rules than those it was begun with
-    assert quick("--repair", "--solver", "search", "--catalogue", "auto", "--resume").status == 0
+    assert quick("--repair", "--solver", "paper", "--catalogue", "auto", "--resume").status == 0
     both = (tmp_path / name for name in ("undisturbed", "s"))
     assert len({tuple(repairs(folder)) for folder in both}) == 1
 

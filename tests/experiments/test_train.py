@@ -20,7 +20,8 @@ import pytest
 from bodies import ellipsoid, painted
 
 from experiments import cli
-from experiments.policy_training import keep_explosions
+from experiments.output import SOLVERS, Solvers
+from experiments.policy_training import _robot, keep_explosions
 from hardware.bundle import load_bundle
 from sim.environment import Explosion
 
@@ -182,6 +183,12 @@ def test_a_body_that_cannot_be_built_is_status_1(bodyplan: Callable[..., Any], t
     said = bodyplan("train", tmp_path / "d.npz", "--out", tmp_path / "x")
     assert said.status == 1
     assert "cannot be built" in said.err
+
+
+@pytest.mark.parametrize("rules", SOLVERS)
+def test_a_design_is_built_by_the_rules_that_are_asked_for(tmp_path: Path, rules: Solvers) -> None:
+    _, source = _robot(TRIPOD, rules, tmp_path)
+    assert ("lids" in json.loads((source / "blueprint.json").read_text())) == (rules == "search")
 
 
 def test_a_damaged_checkpoint_is_refused_in_one_line(

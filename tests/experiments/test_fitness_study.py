@@ -1,0 +1,33 @@
+"""The study of fitness keeps bodies of different rules apart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from experiments import fitness_study
+from experiments.output import BadInput
+
+
+@pytest.mark.parametrize(
+    ("row", "rules"), [({}, "search"), ({"solver": "search"}, "paper"), ({"solver": "paper"}, "search")]
+)
+def test_bodies_of_other_rules_are_not_gone_on_with(row: dict[str, str], rules: str, tmp_path: Path) -> None:
+    (tmp_path / "bodies.jsonl").write_text(json.dumps({"design": "0" * 16, **row}) + "\n")
+    with pytest.raises(BadInput, match=f"by other rules than {rules}; choose another --out"):
+        fitness_study.run(1, 0, 1000, "genome", rules, 1, tmp_path)  # type: ignore[arg-type]
+
+
+def test_a_body_passes_by_the_rules_of_the_study() -> None:
+    import numpy as np
+
+    from decoder.latent import make_decoder, sample_latents
+    from mfg.pipeline import build
+
+    for latent in sample_latents(4, np.random.default_rng(77)):
+        design = make_decoder("genome").decode(latent[None])[0]
+        for rules in ("paper", "search"):
+            key = fitness_study.Passes("genome", rules)(latent)
+            assert key == (design.key if build(design, rules=rules).ok else None)
