@@ -62,8 +62,9 @@ def _lead(run: RunFolder) -> str:
     decoder = run.meta.get("decoder", "?")
     seed = run.meta.get("seed", "?")
     if run.kind == "study":
+        rules = f" by the rules {run.config['solver']!r}" if "solver" in run.config else ""
         return (
-            f"{len(run.records)} random bodies of the decoder {decoder!r} went through all manufacturing solvers, "
+            f"{len(run.records)} random bodies of the decoder {decoder!r} went through all manufacturing solvers{rules}, "
             f"seed {seed}: what share can be built, and what stops the others?"
         )
     search = run.config.get("search", {})
