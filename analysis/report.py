@@ -64,8 +64,8 @@ def _lead(run: RunFolder) -> str:
     if run.kind == "study":
         rules = f" by the rules {run.config['solver']!r}" if "solver" in run.config else ""
         return (
-            f"{len(run.records)} random bodies of the decoder {decoder!r} went through all manufacturing solvers{rules}, "
-            f"seed {seed}: what share can be built, and what stops the others?"
+            f"{len(run.records)} random bodies of the decoder {decoder!r}, seed {seed}, went through all manufacturing "
+            f"solvers{rules}: what share can be built, and what stops the others?"
         )
     search = run.config.get("search", {})
     shape = ""
