@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,54 +32,50 @@ class Tree:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RootedGraph:
-    """Nodes with as many steps each, laid out once, and roots that lead to some of them and that no step leads to.
+    """Nodes with as many steps each, and roots that lead to some of them and that no step leads to: laid out once.
 
     Attributes:
-        steps: cost of every step, a row for every node and then one for every root, (n + roots, n + roots).
+        column: node that every step leads to, then every arc of every root, row by row.
+        row: where every row begins in `column`, of the nodes, then of the roots, and where the last one ends.
         arcs: of every root, in which order its arcs lie in its row, (k,) each.
-        shape: nodes, and steps of each.
     """
 
-    steps: sparse.csr_matrix
+    column: NDArray[np.int32]
+    row: NDArray[np.int32]
     arcs: tuple[Index, ...]
-    shape: tuple[int, int]
 
     @staticmethod
-    def of(column: NDArray[np.int32], cost: Array, roots: Sequence[Index]) -> RootedGraph:
+    def of(column: NDArray[np.int32], roots: Sequence[Index]) -> RootedGraph:
         """Lay out the graph.
 
         Args:
             column: node that every step leads to, (n, steps).
-            cost: of every step, (n, steps).
             roots: node that every arc of every root leads to, (k,) each.
         """
         arcs = tuple(np.argsort(ends, kind="stable") for ends in roots)
-        first = cost.size + np.cumsum([0, *(len(order) for order in arcs)])
-        steps = sparse.csr_matrix(
-            (
-                np.concatenate([cost.ravel(), np.full(int(first[-1]) - cost.size, np.inf)]),
-                np.concatenate([column.ravel(), *(ends[order] for ends, order in zip(roots, arcs, strict=True))]),
-                np.concatenate([np.arange(0, cost.size, cost.shape[1]), first]),
-            ),
-            shape=(len(cost) + len(roots), len(cost) + len(roots)),
-        )
-        return RootedGraph(steps, arcs, (cost.shape[0], cost.shape[1]))
+        leads = [ends[order].astype(np.int32) for ends, order in zip(roots, arcs, strict=True)]
+        last = column.size + np.cumsum([len(ends) for ends in leads], dtype=np.int32)
+        row = np.concatenate([np.arange(0, column.size + 1, column.shape[1], dtype=np.int32), last])
+        return RootedGraph(np.concatenate([column.ravel(), *leads]), row, arcs)
 
-    def tree(self, root: int, cost: Array, limit: float = NO_LIMIT, shut: NDArray[np.bool_] | None = None) -> Tree:
+    def tree(
+        self, step: Array, root: int, arc: Array, limit: float = NO_LIMIT, shut: NDArray[np.bool_] | None = None
+    ) -> Tree:
         """The cheapest ways from a root, as far as a limit.
 
         Args:
+            step: cost of every step, (n, steps).
             root: which one.
-            cost: of its arcs, (k,).
+            arc: cost of each of its arcs, (k,).
             limit: cost beyond which no way is followed.
             shut: nodes that no way leads on from, (n,).
         """
-        nodes, steps = self.shape
-        data = self.steps.data.copy()
-        low, high = list(pairwise(self.steps.indptr[nodes:].tolist()))[root]
-        data[low:high] = cost[self.arcs[root]]
+        nodes, size = len(step), len(self.row) - 1
+        cost = np.full(len(self.column), np.inf)
+        cost[: step.size] = step.ravel()
+        cost[self.row[nodes + root] : self.row[nodes + root + 1]] = arc[self.arcs[root]]
         if shut is not None:
-            data[: nodes * steps].reshape(nodes, steps)[shut] = np.inf
-        graph = sparse.csr_matrix((data, self.steps.indices, self.steps.indptr), self.steps.shape)
+            cost[: step.size].reshape(step.shape)[shut] = np.inf
+        graph = sparse.csr_matrix((cost, self.column, self.row), (size, size))
         length, before = csgraph.dijkstra(graph, indices=nodes + root, return_predecessors=True, limit=limit)
-        return Tree(length[:nodes], before[:nodes], cost)
+        return Tree(length[:nodes], before[:nodes], arc)

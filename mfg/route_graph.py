@@ -100,11 +100,11 @@ class RouteGraph:
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
         column, weight = self._linked()
-        self.first = RootedGraph.of(column, weight, [self.starts.node]).tree(0, self.starts.cost)
+        self.graph = RootedGraph.of(column, [self.starts.node, *(ends.node for ends in self.ends)])
+        self.first = self.graph.tree(weight, 0, self.starts.cost)
         # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
         self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
-        added = np.maximum(weight + self.rest.take(column) - self.rest[:, None], 1e-9)
-        self.added = RootedGraph.of(column, added, [ends.node for ends in self.ends])
+        self.added = np.maximum(weight + self.rest.take(column) - self.rest[:, None], 1e-9)
 
     def _linked(self) -> tuple[NDArray[np.int32], Array]:
         """Every sample's 18 neighbours and what a step to each costs, (n, 18) each.
@@ -221,7 +221,7 @@ class RouteGraph:
         if not len(cost) or not np.isfinite(cost).any():
             return None
         for detour in DETOURS:
-            tree = self.added.tree(seat, cost, float(cost.min()) + detour, taken.cells)
+            tree = self.graph.tree(self.added, seat + 1, cost, float(cost.min()) + detour, taken.cells)
             tree.length[taken.cells] = np.inf
             if np.isfinite(tree.length[self.starts.node]).any():
                 break
