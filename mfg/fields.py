@@ -63,7 +63,12 @@ class Field:
         if points.size < 3 * MANY or min(self.values.shape) < 2:
             index = (points - self.origin) / self.spacing
             return ndimage.map_coordinates(
-                self.values, index.transpose(points.ndim - 1, *range(points.ndim - 1)), np.float32, order=1, mode="constant", cval=float(OUTSIDE)
+                self.values,
+                index.transpose(points.ndim - 1, *range(points.ndim - 1)),
+                np.float32,
+                order=1,
+                mode="constant",
+                cval=float(OUTSIDE),
             )
         flat = points.reshape(-1, 3)
         return np.concatenate(

@@ -99,14 +99,14 @@ class RouteGraph:
         self.cost = field.cost.ravel()[self.cells].astype(np.float64)
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
-        column, weight = self._linked()
+        column, weight = self.linked()
         self.graph = RootedGraph.of(column, [self.starts.node, *(ends.node for ends in self.ends)])
         self.first = self.graph.tree(weight, 0, self.starts.cost)
         # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
         self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
         self.added = np.maximum(weight + self.rest.take(column) - self.rest[:, None], 1e-9)
 
-    def _linked(self) -> tuple[NDArray[np.int32], Array]:
+    def linked(self) -> tuple[NDArray[np.int32], Array]:
         """Every sample's 18 neighbours and what a step to each costs, (n, 18) each.
 
         A step to one of another label that is not joined to its own, or to none, leads back and costs infinitely much.

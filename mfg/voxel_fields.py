@@ -131,7 +131,7 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float, st
         a: depth in one region, odd numbers of samples along every side.
         b: depth in the other, same samples.
         radius: of the ball, in the unit of the depths; 0 leaves every edge as it is.
-        stride: every how many samples slopes are taken, 1 or 2; a multiple of it and one more are along every side.
+        stride: every how many samples slopes are taken, 1 or 2; a multiple of it and one more along every side.
     """
     least, r = np.minimum(a, b), np.float32(radius)
     if radius <= 0 or min(a.shape) < 3:
@@ -170,9 +170,9 @@ def _between_samples(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """The values with the mean of two neighbours half-way between them, along every axis."""
     for axis in range(3):
         v = np.swapaxes(values, 0, axis)
-        out = np.empty((2 * len(v) - 1, *v.shape[1:]), np.float32)
+        out = np.zeros((2 * len(v) - 1, *v.shape[1:]), np.float32)
         out[::2] = v
-        np.multiply(v[1:] + v[:-1], np.float32(0.5), out=out[1::2])
+        out[1::2] = np.float32(0.5) * (v[1:] + v[:-1])
         values = np.swapaxes(out, 0, axis)
     return values
 
