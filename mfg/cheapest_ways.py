@@ -77,5 +77,5 @@ class RootedGraph:
         if shut is not None:
             cost[: step.size].reshape(step.shape)[shut] = np.inf
         graph = sparse.csr_matrix((cost, self.column, self.row), (size, size))
-        length, before = csgraph.dijkstra(graph, indices=nodes + root, return_predecessors=True, limit=limit)
-        return Tree(length[:nodes], before[:nodes], arc)
+        length, before = csgraph.dijkstra(graph, indices=[nodes + root], return_predecessors=True, limit=limit)
+        return Tree(length[0, :nodes], before[0, :nodes], arc)

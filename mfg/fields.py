@@ -194,7 +194,7 @@ def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:
 
 
 def cylindrical(
-    axes: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    axes: tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]],
     centre: NDArray[np.float64],
     axis: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -175,7 +175,8 @@ def motor_pose(position: NDArray[np.float64], axis: NDArray[np.float64], offset:
 def _about(
     points: NDArray[np.float64], T_design_motor: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return cylindrical((points[..., 0], points[..., 1], points[..., 2]), T_design_motor[:3, 3], T_design_motor[:3, 2])
+    x, y, z = (points[..., axis] for axis in range(3))
+    return cylindrical((x, y, z), T_design_motor[:3, 3], T_design_motor[:3, 2])
 
 
 def _ring(pattern: ScrewPattern, radius: float, low: float, high: float) -> list[Solid]:
