@@ -21,7 +21,8 @@ from mfg.lids import SCREW
 from mfg.masses import wire_stretches
 from mfg.mounts import Mount, mount_of
 from mfg.picture import BATTERY, BONES, CONTROLLER, MOTOR, WIRE
-from mfg.render import Colour, Shape, render, visible_shares
+from mfg.render import render, visible_shares
+from mfg.shape import Colour, Shape
 from mfg.solids import Solid, ball_chain, cylinder, union
 
 Array = NDArray[np.float64]

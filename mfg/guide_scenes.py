@@ -14,7 +14,7 @@ from mfg.lids import SCREW
 from mfg.masses import wire_stretches
 from mfg.picture import axis_rod
 from mfg.plate import Lay
-from mfg.render import Shape
+from mfg.shape import Shape
 from mfg.solids import box
 from mfg.splitting import Piece
 from mfg.ways import turned
