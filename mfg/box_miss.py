@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.box_fit import SURFACE, box_surface, separation
+from mfg.box_host import KINDS, Host, Kind
 from mfg.box_layout import Layout
-from mfg.electronics import KINDS, Host, Kind
 from mfg.miss import Miss
 
 Array = NDArray[np.float64]

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, BoxSeat
 from mfg.box_fit import Places, box_points, places
+from mfg.box_host import KINDS, Host, Kind, scored
 from mfg.box_layout import Layout, Look, joined, layouts_of, refined
 from mfg.box_miss import miss_of
 from mfg.box_paths import WAYS, Surroundings, apart, ways_out
 from mfg.catalogue import Size
-from mfg.electronics import CORNERS, KINDS, Host, Kind, scored, side_by_side
+from mfg.electronics import CORNERS, side_by_side
 from mfg.insertion import interference_above, outer_surface, shaft_height
 from mfg.miss import Miss
 from mfg.mounts import mount_of

@@ -61,9 +61,14 @@ class Field:
     def sample(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Depth at points (..., 3) of the design frame [m], trilinear; `OUTSIDE` beyond the lattice."""
         if points.size < 3 * MANY or min(self.values.shape) < 2:
-            index = np.moveaxis((points - self.origin) / self.spacing, -1, 0)
+            index = (points - self.origin) / self.spacing
             return ndimage.map_coordinates(
-                self.values, index, np.float32, order=1, mode="constant", cval=float(OUTSIDE)
+                self.values,
+                index.transpose(points.ndim - 1, *range(points.ndim - 1)),
+                np.float32,
+                order=1,
+                mode="constant",
+                cval=float(OUTSIDE),
             )
         flat = points.reshape(-1, 3)
         return np.concatenate(
@@ -189,7 +194,7 @@ def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:
 
 
 def cylindrical(
-    axes: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    axes: tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]],
     centre: NDArray[np.float64],
     axis: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mfg.assembly import Step, assembly_steps
 from mfg.blueprint import Blueprint
-from mfg.guide_pictures import Stock, png_uri
+from mfg.guide_pictures import png_uri
 from mfg.guide_prose import (
     BRING_UP,
     BUS,
@@ -37,6 +37,7 @@ from mfg.guide_scenes import (
     overview,
     plate_picture,
 )
+from mfg.guide_stock import Stock
 from mfg.guide_style import STYLE
 from mfg.guide_text import (
     LID_TORQUE,

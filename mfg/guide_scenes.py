@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.assembly import Step
-from mfg.guide_pictures import NEW, NEW_BONE, Mark, Scenery, Stock, View, best_view, coloured, figure, pushed
+from mfg.guide_pictures import Mark, Scenery, View, best_view, figure
+from mfg.guide_stock import NEW, NEW_BONE, Stock, coloured, pushed
 from mfg.lids import SCREW
 from mfg.masses import wire_stretches
 from mfg.picture import axis_rod
 from mfg.plate import Lay
-from mfg.render import Shape
+from mfg.shape import Shape
 from mfg.solids import box
 from mfg.splitting import Piece
 from mfg.ways import turned

@@ -12,7 +12,7 @@ from mfg.addresses import can_address, turn_sign
 from mfg.assembly import Step
 from mfg.blueprint import Blueprint
 from mfg.catalogue import ScrewPattern
-from mfg.guide_pictures import screw_size
+from mfg.guide_stock import screw_size
 from mfg.lids import SCREW
 from mfg.splitting import pieces
 from mfg.tables import bill_of_materials, wiring_table

@@ -170,10 +170,12 @@ def _few(seats: list[MotorSeat], hinge: Hinge, spread: float, most: int) -> list
     """The best seats of every kind that are at least `spread` apart [m], at most so many in all."""
     kept: dict[tuple[int, bool], list[float]] = {}
     few: list[int] = []
+    along = (np.array([seat.T_design_motor[:3, 2] for seat in seats]).reshape(-1, 3) @ hinge.axis > 0).tolist()
     for k, seat in enumerate(seats):
-        kind = seat.holder, bool(seat.T_design_motor[:3, 2] @ hinge.axis > 0)
-        others = kept.setdefault(kind, [])
-        if len(few) < most and all(abs(seat.offset - other) >= spread - 1e-9 for other in others):
+        if len(few) == most:
+            break
+        others = kept.setdefault((seat.holder, along[k]), [])
+        if all(abs(seat.offset - other) >= spread - 1e-9 for other in others):
             others.append(seat.offset)
             few.append(k)
     return few

@@ -175,7 +175,7 @@ def motor_pose(position: NDArray[np.float64], axis: NDArray[np.float64], offset:
 def _about(
     points: NDArray[np.float64], T_design_motor: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    x, y, z = np.moveaxis(points, -1, 0)
+    x, y, z = (points[..., axis] for axis in range(3))
     return cylindrical((x, y, z), T_design_motor[:3, 3], T_design_motor[:3, 2])
 
 

@@ -13,7 +13,8 @@ from decoder.design import Joint, Material, VoxelDesign
 from mfg.blueprint import Blueprint
 from mfg.fields import Field
 from mfg.mounts import housing, motor_pose, mount_of
-from mfg.render import Colour, Shape, render
+from mfg.render import render
+from mfg.shape import Colour, Shape
 from mfg.skins import soft_owner
 from mfg.solids import Solid, ball_chain, box, cylinder, from_field, union
 from mfg.voxel_fields import bone_field, whole_field

@@ -49,7 +49,8 @@ class PrintabilitySolver:
                     Stage.PRINT,
                     Reason.TOO_LARGE,
                     f"{body.name} measures {_mm(np.ptp(outline, axis=0))} mm and no way up fits the "
-                    f"{_mm(np.array(printer.volume))} mm of {printer.name}",
+                    f"{_mm(np.array(printer.volume))} mm of {printer.name}; the search rules cut such a body into "
+                    "pieces with pegs, and a smaller pitch scales it",
                 )
         return blueprint
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from mfg.blueprint import Blueprint, BoxSeat, MotorSeat
+from mfg.cheapest_ways import RootedGraph, Tree
 from mfg.fields import Field
 from mfg.mounts import Mount
 from mfg.route_field import Margins, Obstacles, RouteField
@@ -46,21 +45,6 @@ class Mouths:
     node: Index
     bends: Array
     heading: Array
-    cost: Array
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Tree:
-    """Cheapest ways from one piece of hardware.
-
-    Attributes:
-        length: cost of the way to every sample, (n,) [m].
-        before: the sample before every sample, n after the last arc, (n,).
-        cost: of every arc at the root, as it was counted, (k,).
-    """
-
-    length: Array
-    before: NDArray[np.int32]
     cost: Array
 
 
@@ -115,13 +99,14 @@ class RouteGraph:
         self.cost = field.cost.ravel()[self.cells].astype(np.float64)
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
-        self.column, self.weight = self._linked()
-        self.first = self._grown(self.weight, self.starts.node, self.starts.cost)
+        column, weight = self.linked()
+        self.graph = RootedGraph.of(column, [self.starts.node, *(ends.node for ends in self.ends)])
+        self.first = self.graph.tree(weight, 0, self.starts.cost)
         # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
         self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
-        self.added = np.maximum(self.weight + self.rest.take(self.column) - self.rest[:, None], 1e-9)
+        self.added = np.maximum(weight + self.rest.take(column) - self.rest[:, None], 1e-9)
 
-    def _linked(self) -> tuple[NDArray[np.int32], Array]:
+    def linked(self) -> tuple[NDArray[np.int32], Array]:
         """Every sample's 18 neighbours and what a step to each costs, (n, 18) each.
 
         A step to one of another label that is not joined to its own, or to none, leads back and costs infinitely much.
@@ -139,21 +124,6 @@ class RouteGraph:
         shut = ~self.field.joined[self.label[row], beyond[row, step]]
         weight[row[shut], step[shut]] = np.inf
         return np.where(other >= 0, other, np.arange(len(other), dtype=np.int32)[:, None]), weight
-
-    def _grown(self, weight: Array, node: Index, cost: Array, limit: float = 1e9) -> Tree:
-        """The tree of cheapest ways from a root that leads to some nodes at some cost, as far as a limit."""
-        order, size = np.argsort(node, kind="stable"), len(self.cells) + 1
-        indptr = np.arange(0, weight.size + 1, len(STEPS), dtype=np.int32)
-        graph = sparse.csr_matrix(
-            (
-                np.concatenate([weight.ravel(), cost[order]]),
-                np.concatenate([self.column.ravel(), node[order].astype(np.int32)]),
-                np.append(indptr, np.int32(weight.size + len(node))),
-            ),
-            shape=(size, size),
-        )
-        length, before = csgraph.dijkstra(graph, indices=[size - 1], return_predecessors=True, limit=limit)
-        return Tree(length[0, :-1], before[0, :-1], cost)
 
     def _from_controller(self) -> Mouths:
         box, seats = self.blueprint.box("controller"), len(self.blueprint.seats)
@@ -250,12 +220,8 @@ class RouteGraph:
         cost[_shut(taken.ends, banned)[ends.mouth] | taken.cells[ends.node]] = np.inf
         if not len(cost) or not np.isfinite(cost).any():
             return None
-        added = self.added
-        if taken.cells.any():
-            added = added.copy()
-            added[taken.cells] = np.inf
         for detour in DETOURS:
-            tree = self._grown(added, ends.node, cost, float(cost.min()) + detour)
+            tree = self.graph.tree(self.added, seat + 1, cost, float(cost.min()) + detour, taken.cells)
             tree.length[taken.cells] = np.inf
             if np.isfinite(tree.length[self.starts.node]).any():
                 break
@@ -270,7 +236,7 @@ class RouteGraph:
             return None
         best = int(np.argmin(total))
         chain = [int(starts.node[best])]
-        while tree.before[chain[-1]] != len(self.cells):
+        while tree.before[chain[-1]] < len(self.cells):
             chain.append(int(tree.before[chain[-1]]))
         arcs = np.flatnonzero(ends.node == chain[-1])
         leaf = int(arcs[np.argmin(tree.cost[arcs])])

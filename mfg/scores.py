@@ -64,7 +64,7 @@ def largest_clearance(depth: Field) -> float:
     The field ranks the places; the radius itself is the distance to the surface phi = 0, so that a field smoothed deep
     inside does not matter. Exact up to the curvature of the surface between lattice lines.
     """
-    surface = cKDTree(crossings(depth))
+    surface = cKDTree(crossings(depth), compact_nodes=False, balanced_tree=False)  # built twice as fast
     deep = np.argwhere(depth.values > max(0.0, float(depth.values.max()) - 2 * depth.spacing))
     order = np.argsort(-depth.values[tuple(deep.T)], kind="stable")[:60]
     tried = np.asarray((deep[order] + depth.corner) * depth.spacing, np.float64)

@@ -35,7 +35,11 @@ class SkeletonSolver:
         """Return the blueprint with `tree` and `hinges`, or a skeleton failure."""
         design = blueprint.design
         if not design.joints:
-            return _fail(Reason.NO_JOINT, f"{len(design.segments)} segment(s) and no joint: nothing can move")
+            return _fail(
+                Reason.NO_JOINT,
+                f"{len(design.segments)} segment(s) and no joint: nothing can move; a joint between "
+                "two segments would mend it",
+            )
         labels = np.where(design.material == Material.RIGID, design.segment, 0)
         labels = labels[bounding_window(labels > 0)[1]]
         thin = self._too_thin(labels, design.segments)
@@ -44,12 +48,20 @@ class SkeletonSolver:
         linked = {frozenset((j.parent, j.child)) for j in design.joints}
         for (a, b), faces in sorted(contacts(labels).items()):
             if faces >= self.contact_faces and frozenset((a, b)) not in linked:
-                return _fail(Reason.CYCLE, f"segments {a} and {b} touch over {faces} voxel faces without a joint")
+                return _fail(
+                    Reason.CYCLE,
+                    f"segments {a} and {b} touch over {faces} voxel faces without a joint; empty voxels "
+                    "between them, or a joint, would mend it",
+                )
         root = max(design.segments, key=lambda s: (int((labels == s).sum()), -s))
         tree = _grow(design, root)
         lost = sorted(set(design.segments) - set(tree.segments))
         if lost:
-            return _fail(Reason.DISCONNECTED, f"segments {lost} hang on no joint that leads to the root {root}")
+            return _fail(
+                Reason.DISCONNECTED,
+                f"segments {lost} hang on no joint that leads to the root {root}; joints to the rest, "
+                "or leaving them out, would mend it",
+            )
         return replace(blueprint, tree=tree, hinges=_hinges(design, tree))
 
     def _too_thin(self, labels: NDArray[np.integer], segments: tuple[int, ...]) -> Failure | None:
@@ -60,11 +72,15 @@ class SkeletonSolver:
             sizes = np.bincount(pieces.ravel())[1:]
             if sizes.max() < self.min_voxels:
                 return _fail(
-                    Reason.TOO_THIN, f"segment {segment} has {sizes.max()} connected voxels, needs {self.min_voxels}"
+                    Reason.TOO_THIN,
+                    f"segment {segment} has {sizes.max()} connected voxels, needs {self.min_voxels}; "
+                    f"{self.min_voxels - sizes.max()} more voxels would mend it",
                 )
             if count > 1 and 1 - sizes.max() / sizes.sum() > self.max_fragment:
                 return _fail(
-                    Reason.DISCONNECTED, f"segment {segment} falls into {count} pieces of {sizes.tolist()} voxels"
+                    Reason.DISCONNECTED,
+                    f"segment {segment} falls into {count} pieces of {sizes.tolist()} voxels; "
+                    "bone between them, or keeping the largest alone, would mend it",
                 )
             if self.min_depth <= 1.5 and _has_core(crop):
                 continue
@@ -72,7 +88,8 @@ class SkeletonSolver:
             if depth < self.min_depth:
                 return _fail(
                     Reason.TOO_THIN,
-                    f"segment {segment} is {depth:.1f} voxels deep at its thickest, needs {self.min_depth:g}",
+                    f"segment {segment} is {depth:.1f} voxels deep at its thickest, needs {self.min_depth:g}; "
+                    f"thickening it by {int(np.ceil(self.min_depth - depth))} voxel(s) all around would mend it",
                 )
         return None
 

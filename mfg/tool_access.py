@@ -12,6 +12,7 @@ Bones and skins of both bodies are cut there anyway; other bodies come later.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,6 +27,7 @@ from mfg.mounts import Mount, cup_depth, disc_depth
 Array = NDArray[np.float64]
 SPACING = 5.0e-3  # between the points that stand for a room [m]
 MARGIN = 2.0e-3  # by which a mount is grown to make up for that [m]
+RIM = math.sqrt(2) * MARGIN  # by which the rim of a grown mount is farther out [m]
 ANGLES = 36  # points around; the screws may be anywhere on their circle, for a motor is turned last
 
 
@@ -38,12 +40,14 @@ class _Room:
         away: (n,) [m].
         length: of the room [m].
         both: whether what the connector's body carries counts too.
+        can: middle of the cylinder that all points lie in, on the motor's axis, its half length and radius [m].
     """
 
     points: Array
     away: Array
     length: float
     both: bool
+    can: tuple[float, float, float]
 
 
 def shortfall(seat: MotorSeat, other: MotorSeat, mount: Mount) -> float:
@@ -64,6 +68,11 @@ def _shortfall(seat: MotorSeat, other: MotorSeat, mount: Mount) -> float:
         if not cup and not disc:
             continue
         T, U = seat.T_design_motor, other.T_design_motor
+        low = mount.base_low if cup else mount.connector_low
+        high = mount.connector_high if disc else mount.connector_low
+        # Most rooms are nowhere near: a look at their cylinders tells.
+        if _clear_of(T, room.can, U, ((low + high) / 2, (high - low) / 2, mount.envelope_radius)):
+            continue
         local = (room.points @ T[:3, :3].T + (T[:3, 3] - U[:3, 3])) @ U[:3, :3]
         radial = np.hypot(local[:, 0], local[:, 1]).astype(np.float32)
         along = local[:, 2].astype(np.float32)
@@ -74,6 +83,26 @@ def _shortfall(seat: MotorSeat, other: MotorSeat, mount: Mount) -> float:
         if met.any():
             worst = max(worst, room.length - float(room.away[met].min()))
     return worst
+
+
+def _clear_of(T: Array, can: tuple[float, float, float], U: Array, other: tuple[float, float, float]) -> bool:
+    """Whether two cylinders about the z axes of two frames (middle, half length, radius) are a margin apart for sure.
+
+    That is so if the shadows that they cast on one axis, on the other, or on the line between their middles are.
+    """
+    (m, h, r), (n, k, q) = can, other
+    z, w = T[:3, 2].tolist(), U[:3, 2].tolist()
+    d = [b - a + n * v - m * u for a, b, u, v in zip(T[:3, 3].tolist(), U[:3, 3].tolist(), z, w, strict=True)]
+    cosine = abs(z[0] * w[0] + z[1] * w[1] + z[2] * w[2])
+    ahead, back = abs(d[0] * z[0] + d[1] * z[1] + d[2] * z[2]), abs(d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
+    sine = math.sqrt(max(1 - cosine * cosine, 0.0))
+    if max(ahead - h - k * cosine - q * sine, back - k - h * cosine - r * sine) > RIM:
+        return True
+    away = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    if away <= RIM:
+        return False
+    a, b = min(ahead / away, 1.0), min(back / away, 1.0)
+    return away - h * a - r * math.sqrt(1 - a * a) - k * b - q * math.sqrt(1 - b * b) > RIM
 
 
 @lru_cache(maxsize=8)
@@ -94,7 +123,7 @@ def _room(radii: list[float], start: float, length: float, *, both: bool) -> _Ro
     away = np.linspace(MARGIN, abs(length), round(abs(length) / SPACING) + 1)
     r, a, h = (grid.ravel() for grid in np.meshgrid(radii, angle, away, indexing="ij"))
     points = np.stack([r * np.cos(a), r * np.sin(a), start + np.sign(length) * h], axis=1)
-    return _Room(points, h, abs(length), both)
+    return _Room(points, h, abs(length), both, (start + length / 2, abs(length) / 2, max(radii)))
 
 
 def _ring(pattern: ScrewPattern) -> list[float]:

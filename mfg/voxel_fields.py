@@ -131,32 +131,50 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float, st
         a: depth in one region, odd numbers of samples along every side.
         b: depth in the other, same samples.
         radius: of the ball, in the unit of the depths; 0 leaves every edge as it is.
-        stride: every how many samples slopes are taken; a multiple of it and one more are along every side.
+        stride: every how many samples slopes are taken, 1 or 2; a multiple of it and one more along every side.
     """
-    least = np.minimum(a, b)
+    least, r = np.minimum(a, b), np.float32(radius)
     if radius <= 0 or min(a.shape) < 3:
         return least
     # Nothing else is both in a body and near enough to an edge; further outside, the sign is all that counts. And
     # whatever the angle, an edge is nearest only where u + v > 0.
-    mask = (least > -radius) & (np.maximum(a, b) < 2 * radius) & (a + b < 2 * radius)
+    most = np.maximum(a, b)
+    mask = (least > -r) & (most < 2 * r)
+    most += least
+    mask &= most < 2 * r
     if not mask.any():
         return least
     # Slopes are taken around those samples only, and at the places where slopes over the whole would be.
     here = _grown(bounding_window(mask)[1], stride)
-    near = np.unravel_index(np.flatnonzero(mask[here]), mask[here].shape)
-    slopes = [np.gradient(depth[here][::stride, ::stride, ::stride]) for depth in (a, b)]
-    length = np.sqrt(np.prod([np.square(g).sum(axis=0) for g in slopes], axis=0))
-    cosine = (np.asarray(slopes[0]) * slopes[1]).sum(axis=0) / np.maximum(length, np.finfo(np.float32).tiny)
-    if stride == 1:
-        c = cosine[near]
-    else:
-        c = ndimage.map_coordinates(cosine, np.asarray(near) / stride, np.float32, order=1, mode="nearest")
-    u, v = np.float32(radius) - a[here][near], np.float32(radius) - b[here][near]
+    near = np.flatnonzero(mask[here])
+    a, b = a[here], b[here]
+    cosine = _cosine(a[::stride, ::stride, ::stride], b[::stride, ::stride, ::stride])
+    c = (_between_samples(cosine) if stride == 2 else cosine).take(near)
+    u, v = r - a.ravel().take(near), r - b.ravel().take(near)
     square = (u * u + v * v - 2 * c * u * v) / np.maximum(1 - c * c, np.float32(0.05))
-    opened = np.float32(radius) - np.sqrt(np.maximum(square, 0))
+    opened = r - np.sqrt(np.maximum(square, 0))
     wedge, rim = (v > c * u) & (u > c * v), least[here]
-    rim[near] = np.where(wedge, np.minimum(rim[near], opened), rim[near])
+    at = np.unravel_index(near[wedge], rim.shape)
+    rim[at] = np.minimum(rim[at], opened[wedge])
     return least
+
+
+def _cosine(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Cosine of the angle between the slopes of two depths at every sample; 0 where one has none."""
+    (p, q, r), (u, v, w) = np.gradient(a), np.gradient(b)
+    length = np.sqrt((p * p + q * q + r * r) * (u * u + v * v + w * w))
+    return np.asarray((p * u + q * v + r * w) / np.maximum(length, np.finfo(np.float32).tiny), np.float32)
+
+
+def _between_samples(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The values with the mean of two neighbours half-way between them, along every axis."""
+    for axis in range(3):
+        v = np.swapaxes(values, 0, axis)
+        out = np.zeros((2 * len(v) - 1, *v.shape[1:]), np.float32)
+        out[::2] = v
+        out[1::2] = np.float32(0.5) * (v[1:] + v[:-1])
+        values = np.swapaxes(out, 0, axis)
+    return values
 
 
 def _grown(window: Window, stride: int) -> Window:

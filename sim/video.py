@@ -9,7 +9,9 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
-from mfg.render import TILE, Shape, render, save_png
+from mfg.lighting import TILE
+from mfg.render import render, save_png
+from mfg.shape import Shape
 from sim.model import Model, body_length, poses, surfaces
 from sim.rollout import CONTROL_PERIOD, Rollouts
 from sim.terrain import ground_at, is_level

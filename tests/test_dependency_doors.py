@@ -19,7 +19,7 @@ PACKAGES = ("decoder", "mfg", "sim", "evo", "analysis", "hardware", "experiments
 DOORS: dict[str, set[str]] = {
     "manifold3d": {"mfg/solids.py"},
     "skimage": {"mfg/solids.py"},
-    "embreex": {"mfg/render.py"},
+    "embreex": {"mfg/ray_soup.py"},
     "trimesh": {"mfg/export.py", "experiments/foreign_check.py"},
     "mujoco": {
         "sim/model.py",

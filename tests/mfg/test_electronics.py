@@ -10,7 +10,8 @@ from blueprints import blueprint_of, box_bone
 from scipy.spatial.transform import Rotation
 
 from mfg.blueprint import Blueprint, BoxSeat
-from mfg.electronics import ElectronicsSolver, free_depth
+from mfg.box_host import free_depth
+from mfg.electronics import ElectronicsSolver
 from mfg.mounts import envelope, envelope_depth, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from mfg.blueprint import Blueprint, BoxSeat
 from mfg.box_fit import SURFACE, box_surface, least_depth, places, separation
+from mfg.box_host import free_depth
 from mfg.box_layout import Look, layouts_of, refined
-from mfg.electronics import ElectronicsSolver, free_depth
+from mfg.electronics import ElectronicsSolver
 from mfg.electronics_search import SearchElectronicsSolver
 from mfg.exact import box_room, box_solid, interference_above, surface_points
 from mfg.fields import Field, box_distance

@@ -16,7 +16,7 @@ from mfg.electronics_search import SearchElectronicsSolver
 from mfg.exact import box_solid
 from mfg.export import print_objects
 from mfg.finish import FinishSolver
-from mfg.guide_pictures import screw_size
+from mfg.guide_stock import screw_size
 from mfg.guide_text import step_text
 from mfg.lids import FIT, GRIP, PILOT, PLATE, SCREW, Lid, lids_of
 from mfg.masses import body_masses, component_moments, printed_moments

@@ -176,8 +176,9 @@ def test_searches_that_count_what_is_added_find_the_same_lengths(robot: Blueprin
     graph = RouteGraph(robot, RouteField.of(robot, margins), margins, SOLVER.approach)
     tree = graph.tree(2, graph.taken(2, [], 0.0), set())
     assert tree is not None
-    row, step = np.nonzero(np.isfinite(graph.weight))
-    column, weight = graph.column[row, step], graph.weight[row, step]
+    other, cost = graph.linked()
+    row, step = np.nonzero(np.isfinite(cost))
+    column, weight = other[row, step], cost[row, step]
     node = graph.ends[2].node
     n = len(graph.cells)
     arcs = tree.cost - graph.rest[node]
