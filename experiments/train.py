@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--steps", type=int, help="control periods of experience (1500000)")
-    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
+    parser.add_argument("--starts", type=int, help="how many starts race: corrected gaits, free headings (6)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
     parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
@@ -98,7 +98,8 @@ def run_training(
         BadInput: if the folder holds another training, or one and `resume` is not set, or the robot is unusable.
         OSError: if something cannot be read or written.
     """
-    from experiments.policy_training import STATE, Impossible, train
+    from experiments.policy_start import Impossible
+    from experiments.policy_training import STATE, train
 
     make_folder(folder)
     count = max(1, cores() if workers is None else workers)

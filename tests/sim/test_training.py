@@ -19,17 +19,14 @@ from sim.model import make_spec
 from sim.skin import Fidelity
 from sim.tasks import Goal, Task
 from sim.training import (
-    Race,
     Start,
     Trainer,
     Training,
     Verdict,
     evaluate,
-    headings,
     mean_reward,
     shared_out,
     start_of,
-    starts,
 )  # fmt: skip
 
 SMALL = Training(
