@@ -1,4 +1,4 @@
-"""A race of starts: all train for a little, the better ones for longer, and the winner's training goes on from there."""
+"""A race of starts: all train for a little, the better ones for longer, and the training goes on from the winner."""
 
 from __future__ import annotations
 
