@@ -19,7 +19,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         kind: "policy".
         robot: a blueprint folder, its robot.xml, or a design; relative to a configuration file that names it.
         seed: of everything random.
-        steps: control periods, all copies together.
+        steps: control periods after the race, all copies together.
         starts: what races: two open-loop gaits, corrected by the policy, and free policies along headings of the body;
             1 takes a corrected gait.
         race_steps: control periods of each of them in each heat, after which the slower half drops out.
@@ -37,7 +37,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["policy"]
     robot: Annotated[str, Meta(min_length=1)]
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_500_000
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_250_000
     starts: Annotated[int, Meta(ge=1, le=16)] = 6
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 80_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000

@@ -43,7 +43,7 @@ class Training:
     """
 
     seed: int = 0
-    steps: int = 1_500_000
+    steps: int = 1_250_000
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
