@@ -17,9 +17,10 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
-the robot that is built. "Forward" is not defined for a free-form body: several starts race first, an open-loop gait
-that the policy corrects and free policies along several directions, and the best of them is trained on. The best
-policy so far, judged without exploration in fixed randomised episodes, is kept.
+the robot that is built. "Forward" is not defined for a free-form body: several starts race first, open-loop gaits
+that the policy corrects and free policies along several directions. After each heat the slower half drops out, and the
+training goes on from the winner. The best policy so far, judged without exploration in fixed randomised episodes, is
+kept.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
