@@ -46,11 +46,13 @@ class Learning:
             return found.score
         from sim.herd import with_latency_room
         from sim.model import make_spec
-        from sim.training import Race, Training, starts
+        from sim.race import speed, starts
+        from sim.training import Training
 
         model = with_latency_room(make_spec(description))
-        race = Race(model, Training(int(rng.integers(2**31)), self.steps, self.steps), self.steps)
-        return max(race(start) for start in starts(found.gait, found.heading, self.starts))
+        training = Training(int(rng.integers(2**31)), self.steps, self.steps)
+        candidates = starts(found.gait, found.heading, self.starts)
+        return max(speed(model, training, self.steps, start) for start in candidates)
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,8 @@ class Ladder:
         from sim.gaits import SCREENING, THOROUGH, search_gait
         from sim.herd import with_latency_room
         from sim.model import body_length, make_spec
-        from sim.training import Race, Trainer, Training, starts
+        from sim.race import speed, starts
+        from sim.training import Trainer, Training
 
         design = make_decoder(self.decoder).decode(latent[None])[0]
         built = pipeline.build(design, rules=self.rules)
@@ -91,8 +92,8 @@ class Ladder:
             row[name] = {"score": found.score, "speed": found.speed, "heading": found.heading}
             lap(name)
         training = Training(self.seed, self.steps, -(-self.steps // CHECKPOINTS))
-        race, candidates = Race(model, training, RACE_STEPS), starts(found.gait, found.heading, STARTS)
-        row["race"] = [race(start) for start in candidates]
+        candidates = starts(found.gait, found.heading, STARTS)
+        row["race"] = [speed(model, training, RACE_STEPS, start) for start in candidates]
         lap("race")
         trainer = Trainer(model, training, candidates[int(np.argmax(row["race"]))])
         row["training"] = []

@@ -20,10 +20,10 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         robot: a blueprint folder, its robot.xml, or a design; relative to a configuration file that names it.
         solver: how manufacturing constraints are solved, where the robot is a design that is built first.
         seed: of everything random.
-        steps: control periods, all copies together.
-        starts: what races: the open-loop gait, corrected by the policy, and free policies along headings of the body;
-            1 takes the corrected gait.
-        race_steps: control periods of each of them.
+        steps: control periods after the race, all copies together.
+        starts: what races: two open-loop gaits, corrected by the policy, and free policies along headings of the body;
+            1 takes a corrected gait.
+        race_steps: control periods of each of them in each heat, after which the slower half drops out.
         chunk: control periods between two evaluations and checkpoints.
         copies: robots that gather experience together.
         task: what is learned.
@@ -39,9 +39,9 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_500_000
-    starts: Annotated[int, Meta(ge=1, le=16)] = 4
-    race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 90_000
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 1_250_000
+    starts: Annotated[int, Meta(ge=1, le=16)] = 6
+    race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 80_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from experiments.events import Events, event_file
 from experiments.output import BadInput, progress, say
+from experiments.policy_start import Impossible, best_start
 from experiments.run_folder import CHECKPOINT, CONFIG, RESULT, check_folder, keep_config, write_json
 
 if TYPE_CHECKING:
@@ -24,19 +25,14 @@ if TYPE_CHECKING:
     from mfg.description import Description
     from sim.environment import Explosion
     from sim.model import Model
-    from sim.training import Chunk, Start, Trainer
+    from sim.training import Chunk, Trainer
 
 Array = NDArray[np.float64]
 
 STATE, EXPLOSIONS, ROBOT = "training.npz", "explosions", "robot.sha256"
 BLUEPRINT, EVENTS, VIDEO, STRIP, PAGE = "blueprint", "events", "walk.mp4", "walk.png", "behaviour.html"
-GAIT, FINAL = 3, 4  # purposes of randomness beside those of `sim.training`
+FINAL = 4  # purpose of randomness beside those of `sim.training`, `sim.race` and `experiments.policy_start`
 EPISODE = 20.0  # of the closing measurement [s]
-RACE_TIMEOUT = 3600.0  # [s]
-
-
-class Impossible(ValueError):
-    """The robot cannot be trained; the message says why."""
 
 
 def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str, Any]:
@@ -69,8 +65,11 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     if mark.exists():
         trainer = _restored(config, model, source, workers, mark)
     else:
-        start = _start(config, model, workers)
-        trainer = Trainer(model, config.training(), start, others=_others(config, source), nthread=workers)
+        found = best_start(config, model, workers)
+        trainer = Trainer(
+            model, config.training(), found.start, others=_others(config, source), nthread=workers,
+            learned=found.learned,
+        )  # fmt: skip
     with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
         try:
             for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
@@ -135,44 +134,6 @@ def _model(config: Policy, source: Path, level: str = "compliant") -> Model:
         return with_latency_room(spec)
     except ModelError as error:
         raise BadInput(str(error)) from None
-
-
-def _start(config: Policy, model: Model, workers: int) -> Start:
-    """Which way is forward, and whether a gait is corrected: what learns fastest in a short race."""
-    from evo.pool import Pool
-    from mfg.outcome import Failure
-    from sim.gaits import SCREENING, search_gait
-    from sim.model import default_pose
-    from sim.rollout import Diverged
-    from sim.training import Race, Start, starts
-
-    if config.task != "speed":
-        return Start(0.0, default_pose(model))
-    say("searching an open-loop gait, whose direction is the first candidate for being forward")
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(GAIT,)))
-    try:
-        first = search_gait(model, rng, SCREENING)
-    except Diverged as error:
-        raise Impossible(str(error)) from None
-    candidates = starts(first.gait, first.heading, config.starts)
-    if len(candidates) == 1:
-        return candidates[0]
-    say(f"{len(candidates)} starts race for {config.race_steps} control periods each")
-    speeds: dict[int, float] = {}
-    trouble = ""
-    places = {id(candidate): place for place, candidate in enumerate(candidates)}
-    with Pool[Start, float](Race(model, config.training(), config.race_steps), workers, RACE_TIMEOUT) as pool:
-        for candidate, speed, _ in progress(pool.run(candidates), len(candidates), "starts"):
-            if isinstance(speed, Failure):
-                trouble = speed.detail
-            else:
-                speeds[places[id(candidate)]] = speed
-    if not speeds:
-        raise Impossible(f"no start of {config.robot} could be tried: {trouble}")
-    for place in sorted(speeds):
-        kind = "free" if candidates[place].rhythm is None else "gait corrected"
-        say(f"  {kind}, heading {candidates[place].heading:.2f} rad: {speeds[place]:.2f} m/s")
-    return candidates[max(sorted(speeds), key=speeds.__getitem__)]
 
 
 def _restored(config: Policy, model: Model, source: Path, workers: int, mark: Path) -> Trainer:

@@ -17,9 +17,10 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
-the robot that is built. "Forward" is not defined for a free-form body: several starts race first, an open-loop gait
-that the policy corrects and free policies along several directions, and the best of them is trained on. The best
-policy so far, judged without exploration in fixed randomised episodes, is kept.
+the robot that is built. "Forward" is not defined for a free-form body: several starts race first, open-loop gaits
+that the policy corrects and free policies along several directions. After each heat the slower half drops out, and the
+training goes on from the winner. The best policy so far, judged without exploration in fixed randomised episodes, is
+kept.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
@@ -52,8 +53,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--solver", choices=SOLVERS, help=f"by which rules a design is built ({DEFAULT_SOLVER})")
-    parser.add_argument("--steps", type=int, help="control periods of experience (1500000)")
-    parser.add_argument("--starts", type=int, help="how many starts race: a corrected gait, free headings (4)")
+    parser.add_argument("--steps", type=int, help="control periods of experience after the race (1250000)")
+    parser.add_argument("--starts", type=int, help="how many starts race: corrected gaits, free headings (6)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
     parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
@@ -99,7 +100,8 @@ def run_training(
         BadInput: if the folder holds another training, or one and `resume` is not set, or the robot is unusable.
         OSError: if something cannot be read or written.
     """
-    from experiments.policy_training import STATE, Impossible, train
+    from experiments.policy_start import Impossible
+    from experiments.policy_training import STATE, train
 
     make_folder(folder)
     count = max(1, cores() if workers is None else workers)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, MassProperties, Transform, WireRun
 from mfg.catalogue import Filament, Motor, Size
-from mfg.mounts import motor_pose
+from mfg.mounts import Mount, connector, holder, motor_pose, mount_of
 from mfg.outline import Outline, outline
 
 # Second moments of uniform shapes over mass: a triangle's and a tetrahedron's vertices weigh like this.
@@ -146,7 +147,8 @@ def body_masses(
 ) -> tuple[MassProperties, ...]:
     """Mass properties of every body, in the order of `blueprint.bodies`.
 
-    Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise. A motor belongs to
+    Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise, with the mounts of
+    motors that have seats, but without the walls about cavities. A motor belongs to
     the body that holds its housing; its rotor turns with the output, but is counted here as part of the motor, and its
     spin enters the simulation as armature. Before motors have seats they sit at their hinges, on the parent, and
     before the electronics have theirs they sit at the root's centre. `shapes` are the blueprint's `outlines`, from
@@ -175,7 +177,46 @@ def printed_by_body(
         if body.skin is not None and skin is not None:
             covered = (body.bone.sample(skin.points) < -width, body.skin.sample(bone.points) > width)
             found.append((index, covering_moments(skin, bone, covered, soft, width)))
+    mount = mount_of(blueprint.catalogue.motor)
+    for seat in blueprint.seats:
+        cup, disc = mount_moments(mount, rigid, width)
+        # What a half shares with its bone is counted there.
+        found.append((seat.holder, placed(cup.outside(seat.holder_volume), seat.T_design_motor)))
+        found.append((seat.connector, placed(disc.outside(seat.connector_volume), seat.T_design_motor)))
     return found
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HalfMount:
+    """One half of a motor's mount as if it were printed alone, motor frame.
+
+    Attributes:
+        printed: of its walls and infill.
+        volume: of the half [m3].
+    """
+
+    printed: Moments
+    volume: float
+
+    def outside(self, shared: float) -> Moments:
+        """Of what lies outside of its bone, where it shares so much of its volume with that [m3]."""
+        return self.printed.scaled(max(0.0, 1.0 - shared / self.volume))
+
+
+@lru_cache(maxsize=8)
+def mount_moments(mount: Mount, filament: Filament, line_width: float) -> tuple[HalfMount, HalfMount]:
+    """The cup and the disc of a mount."""
+    cup, disc = (
+        HalfMount(printed_moments(solid.vertices, solid.triangles, filament, line_width), solid.volume)
+        for solid in (holder(mount), connector(mount))
+    )
+    return cup, disc
+
+
+def placed(moments: Moments, pose: Transform) -> Moments:
+    """The moments of a shape in the frame that its pose is given in."""
+    turn = pose[:3, :3]
+    return _shifted(Moments(moments.mass, turn @ moments.first, turn @ moments.second @ turn.T), pose[:3, 3])
 
 
 def component_moments(blueprint: Blueprint) -> list[tuple[int, Moments]]:

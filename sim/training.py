@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.actor import Actor, Gait, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
-from sim.learning import USUAL, Learner, Ppo, Unlearnable
+from sim.learning import USUAL, Learner, Ppo
 from sim.mixture import Mixture
 from sim.model import Model
 from sim.randomisation import WIDE, Randomisation, draw
@@ -20,7 +20,7 @@ from sim.tasks import FAST, SCALE, Goal, Task
 
 Array = NDArray[np.float64]
 
-LEARN, EVALUATE, RACE = 0, 1, 2  # purposes of randomness
+LEARN, EVALUATE = 0, 1  # purposes of randomness; 2 is that of `sim.race`
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 RHYTHM_SPREAD = 2 / 3  # of exploration about a rhythm over that of a free start
 EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and their length [s]
@@ -43,7 +43,7 @@ class Training:
     """
 
     seed: int = 0
-    steps: int = 1_500_000
+    steps: int = 1_250_000
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
@@ -104,15 +104,6 @@ def start_of(state: Mapping[str, Array]) -> Start:
     return Start(float(state["heading"]), state["posture"], rhythm)
 
 
-def starts(gait: Gait, heading: float, count: int) -> tuple[Start, ...]:
-    """Candidates that an open-loop gait suggests: first the gait itself, corrected; then freely along headings.
-
-    The free ones are spread evenly from the heading of the gait [rad], and begin in its posture.
-    """
-    free = headings(heading, max(count - 1, 0))
-    return (Start(heading, gait.offset, gait), *(Start(angle, gait.offset) for angle in free))[:count]
-
-
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What an evaluation found: the policy without exploration, as it is exported.
@@ -166,9 +157,16 @@ class Trainer:
     """One policy in the making; `advance` runs one chunk."""
 
     def __init__(
-        self, model: Model, training: Training, start: Start, *, others: Sequence[Model] = (), nthread: int = 1
+        self,
+        model: Model,
+        training: Training,
+        start: Start,
+        *,
+        others: Sequence[Model] = (),
+        nthread: int = 1,
+        learned: Mapping[str, Array] | None = None,
     ) -> None:
-        """Begin from nothing.
+        """Begin.
 
         Args:
             model: of the robot, made by `sim.herd.with_latency_room`.
@@ -176,11 +174,14 @@ class Trainer:
             start: what it begins with.
             others: the same robot modelled otherwise; a share of the experience and of the evaluation is on them.
             nthread: threads of the physics; it changes no result.
+            learned: state of a learner that began with the same start, to go on with; None begins from nothing.
         """
         self.model, self.training, self.start, self.nthread = model, training, start, nthread
         self.others = tuple(others)
         self.environment = mixture_of(model, self.others, training, start, nthread)
         self.learner = Learner(self.environment, training.ppo, training.seed)
+        if learned:
+            self.learner.restore(learned)
         self.done = 0  # chunks
         self.best: Perceptron | None = None
         self.best_verdict: Verdict | None = None
@@ -299,36 +300,6 @@ def randomised(
     return measure(model, rollouts)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Race:
-    """A short training along one heading, to compare it with others; it can be sent to another process.
-
-    Attributes:
-        model: of the robot.
-        training: of the whole, of which a race runs a little.
-        steps: control periods of one race.
-    """
-
-    model: Model
-    training: Training
-    steps: int
-
-    def __call__(self, start: Start) -> float:
-        """Mean speed while exploring, in the last third [m/s]."""
-        third = max(1, self.steps // 3)
-        environment = environment_of(self.model, self.training, start)
-        learner = Learner(environment, self.training.ppo, self.training.seed)
-        rate, spread = self.training.ppo.learning_rate, first_spread(self.training, start)
-        curves: Mapping[str, float] = {}
-        for index in range(3):
-            rng = np.random.default_rng(np.random.SeedSequence(self.training.seed, spawn_key=(RACE, index)))
-            try:
-                curves, _ = learner.learn(third, rng, rate, spread)
-            except Unlearnable:
-                return 0.0
-        return curves["speed"] / SCALE / 2.0
-
-
 def environment_of(
     model: Model, training: Training, start: Start, nthread: int = 1, count: int | None = None
 ) -> Environment:
@@ -356,9 +327,3 @@ def first_spread(training: Training, start: Start) -> float:
     return (
         training.ppo.spread if start.rhythm is None else max(training.last_spread, RHYTHM_SPREAD * training.ppo.spread)
     )
-
-
-def headings(first: float, count: int) -> tuple[float, ...]:
-    """Directions of the body spread evenly from a first one [rad], each within (-pi, pi]."""
-    spread = first + 2 * np.pi * np.arange(count) / count
-    return tuple(float(-((np.pi - angle) % (2 * np.pi) - np.pi)) for angle in spread)

@@ -19,17 +19,14 @@ from sim.model import make_spec
 from sim.skin import Fidelity
 from sim.tasks import Goal, Task
 from sim.training import (
-    Race,
     Start,
     Trainer,
     Training,
     Verdict,
     evaluate,
-    headings,
     mean_reward,
     shared_out,
     start_of,
-    starts,
 )  # fmt: skip
 
 SMALL = Training(
@@ -219,28 +216,12 @@ def test_exploration_narrows_as_planned(model: Any) -> None:
     assert spreads[-1] == pytest.approx(SMALL.last_spread)
 
 
-def test_candidates_are_the_gait_and_free_headings_all_around() -> None:
-    found = starts(GAIT, 3.0, 4)
-    assert [start.rhythm is GAIT for start in found] == [True, False, False, False]
-    assert len(starts(GAIT, 3.0, 1)) == 1
-    angles = np.array(headings(3.0, 3))
-    assert (np.abs(angles) <= np.pi).all()
-    np.testing.assert_allclose(np.exp(1j * angles).sum(), 0, atol=1e-12)
-
-
 @pytest.mark.filterwarnings("ignore")  # numpy and torch say on the way what becomes of such numbers
-def test_learning_that_diverges_says_so_and_loses_a_race(model: Any) -> None:
+def test_learning_that_diverges_says_so(model: Any) -> None:
     wild = replace(SMALL, ppo=replace(SMALL.ppo, learning_rate=1e38))
     trainer = Trainer(model, wild, Start(0.0, np.zeros(model.nu)))
     with pytest.raises(Unlearnable, match="no numbers any more at a learning rate of 1e\\+38"):
         trainer.advance()
-    assert Race(model, wild, 192)(Start(0.0, np.zeros(model.nu))) == 0.0
-
-
-def test_a_race_is_repeatable(model: Any) -> None:
-    race = Race(model, SMALL, 96)
-    assert race(CORRECTED) == race(CORRECTED)
-    assert np.isfinite(race(FREE))
 
 
 @pytest.mark.parametrize(

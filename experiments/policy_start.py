@@ -1,0 +1,105 @@
+"""What a training begins with: which way is forward, and whether a gait is corrected or the policy makes it all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.output import progress, say
+
+if TYPE_CHECKING:
+    from evo.pool import Pool
+    from experiments.policy_config import Policy
+    from sim.gaits import GaitResult
+    from sim.model import Model
+    from sim.race import Runner
+    from sim.training import Start
+
+GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
+SEARCHES = 2  # for open-loop gaits, each corrected by a start of its own
+HEAT_TIMEOUT = 3600.0  # of one runner [s]
+
+
+class Impossible(ValueError):
+    """The robot cannot be trained; the message says why."""
+
+
+def best_start(config: Policy, model: Model, workers: int) -> Runner:
+    """The winner of a race of starts, with what it has learned; the number of workers changes nothing.
+
+    Raises:
+        Impossible: if the physics explodes under every gait, or no start could be tried.
+    """
+    from evo.pool import Pool
+    from sim.model import default_pose
+    from sim.race import Heat, Runner, ahead, heats
+    from sim.training import Start
+
+    if config.task != "speed":
+        return Runner(Start(0.0, default_pose(model)))
+    say("searching open-loop gaits, whose direction is the first candidate for being forward")
+    runners = tuple(Runner(start) for start in candidates(gaits(config, model), config.starts))
+    with Pool[Runner, Runner](Heat(model, config.training(), config.race_steps), workers, HEAT_TIMEOUT) as pool:
+        for kept in heats(len(runners)):
+            say(f"{len(runners)} starts race for {config.race_steps} control periods each")
+            runners = ahead(_run(pool, runners, config.robot), kept)
+    return runners[0]
+
+
+def gaits(config: Policy, model: Model) -> list[GaitResult]:
+    """Open-loop gaits of independent searches, the best first; one search where no more than it is asked for.
+
+    Raises:
+        Impossible: if the physics explodes under every gait.
+    """
+    from sim.gaits import SCREENING, search_gait
+    from sim.rollout import Diverged
+
+    found: list[GaitResult] = []
+    for key in [(GAIT,), *((GAIT, k) for k in range(1, SEARCHES))][: config.starts]:
+        rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=key))
+        try:
+            found.append(search_gait(model, rng, SCREENING))
+        except Diverged as error:
+            raise Impossible(str(error)) from None
+    return sorted(found, key=lambda gait: -gait.score)
+
+
+def candidates(found: Sequence[GaitResult], count: int) -> tuple[Start, ...]:
+    """So many starts that gaits suggest, best gait first: those of the first gait, then the other gaits, corrected."""
+    from sim.race import starts
+    from sim.training import Start
+
+    others = tuple(Start(gait.heading, gait.gait.offset, gait.gait) for gait in found[1:])
+    return (*starts(found[0].gait, found[0].heading, count - len(others)), *others)
+
+
+def _run(pool: Pool[Runner, Runner], runners: Sequence[Runner], robot: str) -> list[Runner]:
+    """The runners after a heat, in their order, without those that were lost."""
+    from mfg.outcome import Failure
+
+    done: dict[int, Runner] = {}
+    trouble = ""
+    places = {id(runner): place for place, runner in enumerate(runners)}
+    for runner, after, _ in progress(pool.run(runners), len(runners), "starts"):
+        if isinstance(after, Failure):
+            trouble = after.detail
+        else:
+            done[places[id(runner)]] = after
+    if not done:
+        raise Impossible(f"no start of {robot} could be tried: {trouble}")
+    for place in sorted(done):
+        say(told(done[place]))
+    return [done[place] for place in sorted(done)]
+
+
+def told(runner: Runner) -> str:
+    """A runner in one line."""
+    kind = "free" if runner.start.rhythm is None else "gait corrected"
+    line = f"  {kind}, heading {runner.start.heading:.2f} rad: {runner.exploring:.2f} m/s exploring"
+    if runner.verdict is None:
+        return line
+    v = runner.verdict
+    return f"{line}; the policy itself {v.speed:.2f} m/s, {v.robust_speed:.2f} m/s randomised with {v.falls} falls"

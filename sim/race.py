@@ -1,0 +1,126 @@
+"""A race of starts: all train for a little, the better ones for longer, and the training goes on from the winner."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.actor import Gait
+from sim.learning import Learner, Unlearnable
+from sim.model import Model
+from sim.tasks import SCALE
+from sim.training import Start, Training, Verdict, environment_of, evaluate, first_spread
+
+Array = NDArray[np.float64]
+
+RACE = 2  # purpose of randomness, beside those of `sim.training`
+PARTS = 3  # of a heat; the last one counts
+
+
+def starts(gait: Gait, heading: float, count: int) -> tuple[Start, ...]:
+    """Candidates that an open-loop gait suggests: first the gait itself, corrected; then freely along headings.
+
+    The free ones are spread evenly from the heading of the gait [rad], and begin in its posture.
+    """
+    free = headings(heading, max(count - 1, 0))
+    return (Start(heading, gait.offset, gait), *(Start(angle, gait.offset) for angle in free))[:count]
+
+
+def headings(first: float, count: int) -> tuple[float, ...]:
+    """Directions of the body spread evenly from a first one [rad], each within (-pi, pi]."""
+    spread = first + 2 * np.pi * np.arange(count) / count
+    return tuple(float(-((np.pi - angle) % (2 * np.pi) - np.pi)) for angle in spread)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Runner:
+    """A start and what came of it so far in a race; it can be sent to another process.
+
+    Attributes:
+        start: what it began with.
+        heats: how many it has run.
+        steps: control periods in them.
+        exploring: mean speed along the heading while exploring, in the last third of its last heat [m/s].
+        verdict: of its policy after the last heat; None where it was not asked for.
+        learned: state of the learner, to go on with; empty before the first heat, and where learning diverged.
+    """
+
+    start: Start
+    heats: int = 0
+    steps: int = 0
+    exploring: float = 0.0
+    verdict: Verdict | None = None
+    learned: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def merit(self) -> float:
+        """What decides who goes on [m/s]: the mean of the exploring speed and of the verdict's score, if there is one.
+
+        The score alone would end free starts early: their policies stand still without exploration until the steps
+        that exploration finds have been learned. The exploring speed alone would count no fall.
+        """
+        return self.exploring if self.verdict is None else (self.exploring + self.verdict.score) / 2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Heat:
+    """A short training of one runner, to compare it with others; it can be sent to another process.
+
+    Attributes:
+        model: of the robot.
+        training: of the whole, of which a heat runs a little.
+        steps: control periods.
+        judged: whether the policy is evaluated after it.
+    """
+
+    model: Model
+    training: Training
+    steps: int
+    judged: bool = True
+
+    def __call__(self, runner: Runner) -> Runner:
+        """The runner after the heat; one that could not learn stands still."""
+        training, third = self.training, max(1, self.steps // PARTS)
+        learner = Learner(environment_of(self.model, training, runner.start), training.ppo, training.seed)
+        if runner.learned:
+            learner.restore(runner.learned)
+        rate, spread = training.ppo.learning_rate, first_spread(training, runner.start)
+        curves: Mapping[str, float] = {}
+        for index in range(PARTS * runner.heats, PARTS * (runner.heats + 1)):
+            rng = np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(RACE, index)))
+            try:
+                curves, _ = learner.learn(third, rng, rate, spread)
+            except Unlearnable:
+                return Runner(runner.start, runner.heats + 1, runner.steps)
+        verdict = evaluate(self.model, learner.exported(), training) if self.judged else None
+        steps = runner.steps + PARTS * -(-third // training.ppo.update) * training.ppo.update
+        return Runner(
+            runner.start, runner.heats + 1, steps, curves["speed"] / SCALE / 2.0, verdict, learner.state()
+        )  # fmt: skip
+
+
+def speed(model: Model, training: Training, steps: int, start: Start) -> float:
+    """What a start reaches while exploring, at the end of a single heat of so many control periods [m/s]."""
+    return Heat(model, training, steps, judged=False)(Runner(start)).exploring
+
+
+def heats(count: int) -> tuple[int, ...]:
+    """How many of so many runners go on after each heat: half of them, but an even number until one is left.
+
+    Even, because two run at a time on two cores.
+    """
+    kept: list[int] = []
+    while count > 1:
+        half = -(-count // 2)
+        # Half of 3 rounded up to an even number is as many as there were; then the worst alone drops out.
+        count = 1 if half == 1 else min(half + half % 2, count - 1)
+        kept.append(count)
+    return tuple(kept)
+
+
+def ahead(runners: Sequence[Runner], count: int) -> tuple[Runner, ...]:
+    """The best so many, best first; of equals, the first."""
+    return tuple(sorted(runners, key=lambda runner: -runner.merit)[:count])

@@ -1,0 +1,77 @@
+"""What a training begins with: candidates of several gaits, and a race whose winner no number of workers changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments import cli
+from experiments.policy_config import Policy
+from experiments.policy_start import best_start, candidates, gaits, told
+from sim.herd import with_latency_room
+from sim.model import load_spec
+from sim.race import Runner
+from sim.training import Verdict
+
+TRIPOD = Path(cli.__file__).parent / "examples" / "tripod.vox"
+CONFIG = Policy("policy", "tripod", seed=3, starts=3, race_steps=1000, copies=8)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    folder = tmp_path_factory.mktemp("blueprint") / "tripod"
+    assert cli.main(["build", str(TRIPOD), "--no-guide", "--out", str(folder)]) == 0
+    return with_latency_room(load_spec(folder / "robot.xml"))
+
+
+@pytest.fixture(scope="module")
+def found(model: Any) -> Any:
+    return gaits(CONFIG, model)
+
+
+def test_the_best_gait_comes_first(found: Any) -> None:
+    assert len(found) == 2
+    assert found[0].score >= found[1].score
+
+
+def test_each_gait_is_corrected_and_the_first_gives_the_headings(found: Any) -> None:
+    starts = candidates(found, 6)
+    assert [start.rhythm is not None for start in starts] == [True, False, False, False, False, True]
+    assert [start.heading for start in starts[:2]] == [found[0].heading] * 2
+    assert starts[5].rhythm is found[1].gait
+    assert [start.rhythm for start in candidates(found, 2)] == [found[0].gait, found[1].gait]
+    assert [start.rhythm for start in candidates(found[:1], 1)] == [found[0].gait]
+
+
+def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    here, there = (best_start(CONFIG, model, workers) for workers in (0, 2))
+    assert (here.heats, here.steps, here.exploring) == (there.heats, there.steps, there.exploring)
+    assert here.verdict == there.verdict
+    assert here.learned.keys() == there.learned.keys() != set()
+    for name, value in here.learned.items():
+        np.testing.assert_array_equal(value, there.learned[name])
+    said = capsys.readouterr().err
+    assert "3 starts race for 1000 control periods each" in said
+    assert "2 starts race for 1000 control periods each" in said
+
+
+def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
+    from msgspec.structs import replace as changed
+
+    alone = best_start(changed(CONFIG, starts=1), model, 0)
+    assert alone.start.rhythm is not None
+    standing = best_start(changed(CONFIG, task="stand"), model, 0)
+    assert standing.start.rhythm is None
+    assert not alone.learned
+    assert not standing.learned
+
+
+def test_a_runner_is_told_in_one_line(found: Any) -> None:
+    runner = Runner(candidates(found, 1)[0], 1, 1000, 0.123)
+    assert told(runner).endswith("0.12 m/s exploring")
+    judged = replace(runner, verdict=Verdict(0.2, 0.1, 3, 10, 0))
+    assert told(judged).endswith("0.12 m/s exploring; the policy itself 0.20 m/s, 0.10 m/s randomised with 3 falls")

@@ -1,0 +1,121 @@
+"""A race sorts starts by what they learn, in heats that go on from one another, and repeats itself to the last bit."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mfg.description import Description
+from sim.actor import Gait
+from sim.herd import with_latency_room
+from sim.learning import USUAL
+from sim.model import make_spec
+from sim.race import Heat, Runner, ahead, headings, heats, speed, starts
+from sim.training import Start, Trainer, Training, Verdict
+
+SMALL = Training(
+    seed=5, steps=192, chunk=64, ppo=replace(USUAL, copies=4, horizon=16, minibatch=32, epochs=2, units=16)
+)
+GAIT = Gait(1.5, np.full(4, 0.4), np.arange(4.0), np.zeros(4))
+FREE, CORRECTED = Start(0.3, np.zeros(4)), Start(0.3, np.zeros(4), GAIT)
+
+
+@pytest.fixture(scope="module")
+def model(quadruped: Description) -> Any:
+    return with_latency_room(make_spec(quadruped))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_evaluation() -> Any:
+    """Ten seconds of ten robots after every heat would be all that these tests do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sim.training.EVALUATION_SECONDS", 0.2)
+        yield
+
+
+def bytes_of(runner: Runner) -> bytes:
+    return b"".join(np.asarray(value).tobytes() for _, value in sorted(runner.learned.items()))
+
+
+def test_candidates_are_the_gait_and_free_headings_all_around() -> None:
+    found = starts(GAIT, 3.0, 4)
+    assert [start.rhythm is GAIT for start in found] == [True, False, False, False]
+    assert len(starts(GAIT, 3.0, 1)) == 1
+    angles = np.array(headings(3.0, 3))
+    assert (np.abs(angles) <= np.pi).all()
+    np.testing.assert_allclose(np.exp(1j * angles).sum(), 0, atol=1e-12)
+
+
+def test_an_even_number_of_free_headings_has_the_opposite_of_the_gait_s() -> None:
+    assert {round(float(np.cos(start.heading - 3.0))) for start in starts(GAIT, 3.0, 5)} == {-1, 0, 1}
+
+
+@pytest.mark.parametrize(("count", "kept"), [(1, ()), (2, (1,)), (3, (2, 1)), (5, (4, 2, 1)), (6, (4, 2, 1))])
+def test_a_race_halves_until_one_is_left(count: int, kept: tuple[int, ...]) -> None:
+    assert heats(count) == kept
+
+
+@pytest.mark.parametrize("count", range(2, 17))
+def test_somebody_drops_out_of_every_heat(count: int) -> None:
+    left = [count, *heats(count)]
+    assert left[-1] == 1
+    assert all(after < before for before, after in itertools.pairwise(left))
+
+
+def test_those_go_on_who_walk_without_falls_or_find_steps_while_exploring() -> None:
+    def runner(exploring: float, policy: float, falls: int) -> Runner:
+        return Runner(FREE, 1, 100, exploring, Verdict(policy, policy, falls, 10, 0))
+
+    still, seeking, falling, walking = (
+        runner(0.0, 0.0, 0), runner(0.05, 0.0, 0), runner(0.2, 0.2, 9), runner(0.2, 0.2, 0),
+    )  # fmt: skip
+    assert ahead([still, seeking, falling, walking], 4) == (walking, falling, seeking, still)
+    assert ahead([still, seeking, falling, walking], 2) == (walking, falling)
+    twin = runner(0.2, 0.2, 0)
+    assert ahead([walking, twin], 1) == (walking,)
+    assert ahead([twin, walking], 1) == (twin,)
+
+
+def test_a_heat_goes_on_from_the_one_before(model: Any) -> None:
+    heat = Heat(model, SMALL, 192)
+    once = heat(Runner(CORRECTED))
+    assert (once.heats, once.steps) == (1, 192)
+    assert once.verdict is not None
+    sent: Runner = pickle.loads(pickle.dumps(once))
+    twice = heat(sent)
+    assert (twice.heats, twice.steps) == (2, 384)
+    assert bytes_of(twice) == bytes_of(heat(heat(Runner(CORRECTED))))
+    afresh = heat(replace(once, learned={}))
+    assert bytes_of(once) != bytes_of(twice) != bytes_of(afresh)
+
+
+def test_a_training_goes_on_from_the_winner_s_last_heat(model: Any) -> None:
+    runner = Heat(model, SMALL, 192)(Runner(FREE))
+    trainer = Trainer(model, SMALL, FREE, learned=runner.learned)
+    found = trainer.learner.state()
+    assert found.keys() == runner.learned.keys()
+    for name, value in runner.learned.items():
+        np.testing.assert_array_equal(found[name], value)
+    assert trainer.done == 0
+
+
+@pytest.mark.filterwarnings("ignore")  # numpy and torch say on the way what becomes of such numbers
+def test_who_diverges_stands_still(model: Any) -> None:
+    wild = replace(SMALL, ppo=replace(SMALL.ppo, learning_rate=1e38))
+    runner = Heat(model, wild, 192)(Runner(FREE))
+    assert (runner.heats, runner.merit, runner.verdict) == (1, 0.0, None)
+    assert not runner.learned
+    assert speed(model, wild, 192, FREE) == 0.0
+
+
+def test_the_speed_of_a_start_is_that_of_a_heat_without_a_verdict(model: Any) -> None:
+    judged = Heat(model, SMALL, 96)(Runner(FREE))
+    unjudged = Heat(model, SMALL, 96, judged=False)(Runner(FREE))
+    assert unjudged.verdict is None
+    assert unjudged.merit == unjudged.exploring == judged.exploring == speed(model, SMALL, 96, FREE)
+    assert np.isfinite(unjudged.exploring)
