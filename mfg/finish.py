@@ -22,8 +22,9 @@ from mfg.exact import (
 )
 from mfg.fields import Field
 from mfg.lids import Lid, lids_of
-from mfg.masses import body_masses, volume_moments
+from mfg.masses import body_masses
 from mfg.miss import Miss
+from mfg.moments import volume_moments
 from mfg.motors import MotorSolver
 from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage

@@ -17,7 +17,7 @@ from mfg.blueprint import Blueprint, LidSeat, PrintedPart, WireRun
 from mfg.catalogue import Motor, ScrewPattern
 from mfg.description import PAPER_SKIN, DescribedJoint, Description, Link, SkinMaterial
 from mfg.lids import SCREW
-from mfg.masses import printed_moments
+from mfg.moments import printed_moments
 from mfg.outcome import Scores
 from mfg.plate import Lay
 from mfg.splitting import Piece, pieces

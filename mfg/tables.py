@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from mfg.addresses import can_address, turn_sign
 from mfg.blueprint import Blueprint
 from mfg.lids import SCREW
-from mfg.masses import printed_moments
+from mfg.moments import printed_moments
 from mfg.slicer import SliceReport, clock
 
 SLICED = "filament, sliced"  # kind of the rows that a slicer wrote

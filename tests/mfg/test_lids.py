@@ -19,7 +19,8 @@ from mfg.finish import FinishSolver
 from mfg.guide_stock import screw_size
 from mfg.guide_text import step_text
 from mfg.lids import FIT, GRIP, PILOT, PLATE, SCREW, Lid, lids_of
-from mfg.masses import body_masses, component_moments, printed_moments
+from mfg.masses import body_masses, component_moments
+from mfg.moments import printed_moments
 from mfg.parts import PAPER
 from mfg.plate import arrange
 from mfg.solids import Solid, ball_chain, cylinder, from_field

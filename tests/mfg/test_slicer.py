@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mfg.manifest import FORMAT, NAME, VERSION, manifest_bytes
-from mfg.masses import printed_moments
+from mfg.moments import printed_moments
 from mfg.parts import H2D, PAPER, PLA, TPU_90A
 from mfg.slicer import SliceError, SliceReport, clock, find_slicer, slice_blueprint
 from mfg.solids import box

@@ -16,7 +16,8 @@ from scipy.sparse import csgraph
 
 from mfg.blueprint import Blueprint
 from mfg.exact import box_room, box_solid, motor_solid, tunnel
-from mfg.masses import component_moments, total
+from mfg.masses import component_moments
+from mfg.moments import total
 from mfg.mounts import cavity, connector, holder, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import PAPER
