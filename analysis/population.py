@@ -45,7 +45,7 @@ def passing(run: RunFolder) -> str:
         text += " Evolution favours what can be built, so this is no estimate for random bodies; a study gives that."
     caption = (
         "Share that each stage lets through. The black marks are the figures of the paper (its Table I), which are for "
-        "random bodies of another decoder, by its own rules."
+        "random bodies of another decoder, by the paper's rules."
     )
     return page.section(
         "What passes", page.paragraph(text), pass_through_table(counts),

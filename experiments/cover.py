@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from experiments.output import say
+from experiments.output import BAD_INPUT, say
 
 PANEL = (480, 360)  # of the pictures on top [pixel]
 MOMENTS = 6
@@ -39,9 +39,10 @@ def main() -> int:
     from sim.video import strip
 
     robot = args.run / "best" / BLUEPRINT
+    if not (robot / "design.npz").exists() or not isinstance(config := load_config(args.run / CONFIG), Evolve | Sketch):
+        say(f"{args.run} has no winner; give the folder of a finished run that evolves or builds a sketch")
+        return BAD_INPUT
     design = load_design(robot / "design.npz")
-    config = load_config(args.run / CONFIG)
-    assert isinstance(config, Evolve | Sketch)  # only these have a winner
     judge = judge_of(config.solver, config.catalogue, config.parts, deployed=True)
     blueprint = judge.build(design).blueprint
     model = load_model(robot / "robot.xml")

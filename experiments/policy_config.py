@@ -23,7 +23,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         steps: control periods after the race, all copies together.
         starts: what races: two open-loop gaits, corrected by the policy, and free policies along headings of the body;
             1 takes a corrected gait.
-        race_steps: control periods of each of them in each heat, after which the slower half drops out.
+        race_steps: control periods of each of them in each heat, after which the worse ones drop out.
         chunk: control periods between two evaluations and checkpoints.
         copies: robots that gather experience together.
         task: what is learned.

@@ -43,6 +43,8 @@ def best_start(config: Policy, model: Model, workers: int) -> Runner:
     runners = tuple(Runner(start) for start in candidates(gaits(config, model), config.starts))
     with Pool[Runner, Runner](Heat(model, config.training(), config.race_steps), workers, HEAT_TIMEOUT) as pool:
         for kept in heats(len(runners)):
+            if len(runners) == 1:  # the others were lost
+                break
             say(f"{len(runners)} starts race for {config.race_steps} control periods each")
             runners = ahead(_run(pool, runners, config.robot), kept)
     return runners[0]

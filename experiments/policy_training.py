@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import shutil
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -96,8 +97,15 @@ def _robot(path: Path, rules: Solvers, folder: Path) -> tuple[Description, Path]
         outcome = build(read_design(path), rules=rules)
         if not outcome.ok:
             raise Impossible(f"{path} cannot be built: {outcome.failure}")
-        write_blueprint(outcome, folder / BLUEPRINT)
-        return describe(outcome.blueprint), folder / BLUEPRINT
+        # What is there stays until the new one is known to be the same robot.
+        partial, there = folder / f"{BLUEPRINT}.partial", folder / BLUEPRINT
+        shutil.rmtree(partial, ignore_errors=True)
+        write_blueprint(outcome, partial)
+        if (noted := folder / CHECKPOINT / ROBOT).exists():
+            _same_robot(partial, noted, str(path))
+        shutil.rmtree(there, ignore_errors=True)
+        partial.rename(there)
+        return describe(outcome.blueprint), there
     if not (path / "robot.xml").exists():
         raise BadInput(f"{path} has no robot.xml; give a blueprint folder (`bodyplan build` makes one) or a design")
     return read_description(path), path

@@ -68,13 +68,25 @@ def _held(folder: Path) -> Config | None:
             return parse_config(tomllib.loads(meta["config"]), f"{path}, meta")
     if (folder / CONFIG).exists():
         try:
-            return load_config(folder / CONFIG)
+            return _as_of_then(load_config(folder / CONFIG), folder / CONFIG)
         except BadInput as error:
             raise BadInput(f"{folder} may hold another run, choose another --out: {error}") from None
     result = _result_in(folder)
     if result is not None:
         raise BadInput(f"{folder} holds {result} of another run, but no {CONFIG}; choose another --out")
     return None
+
+
+def _as_of_then(config: Config, path: Path) -> Config:
+    """A configuration that was kept; one of a policy that names no solver is from when there was no choice: paper."""
+    import tomllib
+
+    from experiments.config import parse_config
+
+    said = tomllib.loads(path.read_text(encoding="utf-8"))
+    if config.kind == "policy" and "solver" not in said:
+        return parse_config(said | {"solver": "paper"}, str(path))
+    return config
 
 
 def _result_in(folder: Path) -> str | None:

@@ -18,7 +18,7 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
 the robot that is built. "Forward" is not defined for a free-form body: several starts race first, open-loop gaits
-that the policy corrects and free policies along several directions. After each heat the slower half drops out, and the
+that the policy corrects and free policies along several directions. After each heat the worse ones drop out, and the
 training goes on from the winner. The best policy so far, judged without exploration in fixed randomised episodes, is
 kept.
 

@@ -39,7 +39,7 @@ def body_masses(
     """Mass properties of every body, in the order of `blueprint.bodies`.
 
     Printed matter is taken from `blueprint.parts` where they exist and from the fields otherwise, with the mounts of
-    motors that have seats, but without the walls about cavities. A motor belongs to
+    motors that have seats and the walls about boxes and tunnels that have places. A motor belongs to
     the body that holds its housing; its rotor turns with the output, but is counted here as part of the motor, and its
     spin enters the simulation as armature. Before motors have seats they sit at their hinges, on the parent, and
     before the electronics have theirs they sit at the root's centre. `shapes` are the blueprint's `outlines`, from
@@ -74,6 +74,24 @@ def printed_by_body(
         # What a half shares with its bone is counted there.
         found.append((seat.holder, placed(cup.outside(seat.holder_volume), seat.T_design_motor)))
         found.append((seat.connector, placed(disc.outside(seat.connector_volume), seat.T_design_motor)))
+    return found + _about_cavities(blueprint)
+
+
+def _about_cavities(blueprint: Blueprint) -> list[tuple[int, Moments]]:
+    """(body, moments) of the walls about boxes and tunnels, less the infill that was where these are."""
+    rigid, width = blueprint.catalogue.rigid, blueprint.catalogue.printer.line_width
+    wall = rigid.density * (1.0 - rigid.infill) * rigid.walls * width  # [kg/m2]
+    filled = rigid.density * rigid.infill  # [kg/m3]
+    found = []
+    for box in blueprint.boxes:
+        x, y, z = (side + 2 * box.clearance for side in box.size)
+        mass = wall * 2 * (x * y + y * z + z * x) - filled * x * y * z
+        found.append((box.body, box_moments(mass, (x, y, z), box.T_design_box)))
+    for wire in blueprint.wires:
+        linear = wall * 2 * np.pi * wire.radius - filled * np.pi * wire.radius**2
+        for body, path in wire_stretches(wire, blueprint):
+            inside = blueprint.bodies[body].bone.sample((path[:-1] + path[1:]) / 2) > 0
+            found.append((body, polyline_moments(linear, path, inside)))
     return found
 
 

@@ -127,10 +127,13 @@ def point_moments(mass: float, position: NDArray[np.float64]) -> Moments:
     return Moments(mass, mass * position, mass * np.outer(position, position))
 
 
-def polyline_moments(mass_per_metre: float, path: NDArray[np.float64]) -> Moments:
-    """A thin cable along points (k, 3) [m]."""
-    pieces = np.stack([path[:-1].T, path[1:].T])
-    length = np.linalg.norm(path[1:] - path[:-1], axis=1)
+def polyline_moments(
+    mass_per_metre: float, path: NDArray[np.float64], there: NDArray[np.bool_] | None = None
+) -> Moments:
+    """A thin cable along points (k, 3) [m], or those of its pieces that are `there`, (k - 1,)."""
+    start, end = (path[:-1], path[1:]) if there is None else (path[:-1][there], path[1:][there])
+    pieces = np.stack([start.T, end.T])
+    length = np.linalg.norm(end - start, axis=1)
     return _of_simplices(pieces, length, 2, 1.0 / 6.0).scaled(mass_per_metre)
 
 

@@ -30,9 +30,9 @@ def starts(gait: Gait, heading: float, count: int) -> tuple[Start, ...]:
 
 
 def headings(first: float, count: int) -> tuple[float, ...]:
-    """Directions of the body spread evenly from a first one [rad], each within (-pi, pi]."""
-    spread = first + 2 * np.pi * np.arange(count) / count
-    return tuple(float(-((np.pi - angle) % (2 * np.pi) - np.pi)) for angle in spread)
+    """Directions of the body spread evenly from a first one, which stays as it is [rad], all within (-pi, pi]."""
+    others = first + 2 * np.pi * np.arange(1, count) / max(count, 1)
+    return (first, *(float(-((np.pi - angle) % (2 * np.pi) - np.pi)) for angle in others))[:count]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,7 +42,6 @@ class Runner:
     Attributes:
         start: what it began with.
         heats: how many it has run.
-        steps: control periods in them.
         exploring: mean speed along the heading while exploring, in the last third of its last heat [m/s].
         verdict: of its policy after the last heat; None where it was not asked for.
         learned: state of the learner, to go on with; empty before the first heat, and where learning diverged.
@@ -50,7 +49,6 @@ class Runner:
 
     start: Start
     heats: int = 0
-    steps: int = 0
     exploring: float = 0.0
     verdict: Verdict | None = None
     learned: Mapping[str, Array] = field(default_factory=dict)
@@ -62,6 +60,8 @@ class Runner:
         The score alone would end free starts early: their policies stand still without exploration until the steps
         that exploration finds have been learned. The exploring speed alone would count no fall.
         """
+        if self.heats and not self.learned:
+            return -np.inf  # it diverged: there is nothing to go on from
         return self.exploring if self.verdict is None else (self.exploring + self.verdict.score) / 2
 
 
@@ -94,12 +94,9 @@ class Heat:
             try:
                 curves, _ = learner.learn(third, rng, rate, spread)
             except Unlearnable:
-                return Runner(runner.start, runner.heats + 1, runner.steps)
+                return Runner(runner.start, runner.heats + 1)
         verdict = evaluate(self.model, learner.exported(), training) if self.judged else None
-        steps = runner.steps + PARTS * -(-third // training.ppo.update) * training.ppo.update
-        return Runner(
-            runner.start, runner.heats + 1, steps, curves["speed"] / SCALE / 2.0, verdict, learner.state()
-        )  # fmt: skip
+        return Runner(runner.start, runner.heats + 1, curves["speed"] / SCALE / 2.0, verdict, learner.state())
 
 
 def speed(model: Model, training: Training, steps: int, start: Start) -> float:

@@ -52,7 +52,7 @@ def test_sized_parts_go_into_the_blueprint_and_are_told(quadruped: VoxelDesign, 
     told: list[tuple[int, int, str]] = []
     first = judge.score(quadruped, lambda *step: told.append(step))
     assert first.ok
-    assert calls[0].end is End.FIXED
+    assert (calls[0].failure, calls[0].end in (End.FIXED, End.CYCLE)) == (None, True)
     assert told[0][0] == 1
     parts = first.to_json()["catalogue"]
     assert parts == {"name": "auto", "motor": "J60-6", "battery": parts["battery"], "controller": parts["controller"],

@@ -20,9 +20,20 @@ from mfg.selection import JointNeed, Margins, Needs, select, unmet
 LIBRARY = read_library()
 
 
+def of_seed(quadruped: VoxelDesign, seed: int, **more) -> Sized:
+    rng = np.random.default_rng(seed)
+    return sized(quadruped, rng, LIBRARY, budget=TINY, margins=Margins(drivers="any"), **more)
+
+
 @pytest.fixture(scope="module")
-def robot(quadruped: VoxelDesign) -> Sized:
-    return sized(quadruped, np.random.default_rng(2), LIBRARY, budget=TINY, margins=Margins(drivers="any"))
+def seed(quadruped: VoxelDesign) -> int:
+    """The first one whose gait leads to a choice that repeats: with so small a budget not every one does."""
+    return next(seed for seed in range(6) if of_seed(quadruped, seed).end is End.FIXED)
+
+
+@pytest.fixture(scope="module")
+def robot(quadruped: VoxelDesign, seed: int) -> Sized:
+    return of_seed(quadruped, seed)
 
 
 def test_the_quadruped_gets_parts_that_bear_it(robot: Sized):
@@ -39,10 +50,9 @@ def test_the_quadruped_gets_parts_that_bear_it(robot: Sized):
     assert again.catalogue.motor == robot.catalogue.motor  # type: ignore[union-attr]
 
 
-def test_the_same_randomness_sizes_alike(quadruped: VoxelDesign, robot: Sized):
+def test_the_same_randomness_sizes_alike(quadruped: VoxelDesign, robot: Sized, seed: int):
     told: list[tuple[int, int, str]] = []
-    again = sized(quadruped, np.random.default_rng(2), LIBRARY, budget=TINY, margins=Margins(drivers="any"),
-                  progress=lambda *step: told.append(step))  # fmt: skip
+    again = of_seed(quadruped, seed, progress=lambda *step: told.append(step))
     assert again.rounds == robot.rounds
     assert again.catalogue == robot.catalogue
     assert [step[0] for step in told] == list(range(1, len(robot.rounds) + 1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,14 +21,12 @@ def test_bodies_of_other_rules_are_not_gone_on_with(row: dict[str, str], rules: 
         fitness_study.run(1, 0, 1000, "genome", rules, 1, tmp_path)  # type: ignore[arg-type]
 
 
-def test_a_body_passes_by_the_rules_of_the_study() -> None:
+def test_a_body_passes_by_the_rules_of_the_study(monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 
     from decoder.latent import make_decoder, sample_latents
-    from mfg.pipeline import build
 
-    for latent in sample_latents(4, np.random.default_rng(77)):
-        design = make_decoder("genome").decode(latent[None])[0]
-        for rules in ("paper", "search"):
-            key = fitness_study.Passes("genome", rules)(latent)
-            assert key == (design.key if build(design, rules=rules).ok else None)
+    monkeypatch.setattr("mfg.pipeline.build", lambda _, rules: SimpleNamespace(ok=rules == "paper"))
+    latent = sample_latents(1, np.random.default_rng(77))[0]
+    assert fitness_study.Passes("genome", "search")(latent) is None
+    assert fitness_study.Passes("genome", "paper")(latent) == make_decoder("genome").decode(latent[None])[0].key

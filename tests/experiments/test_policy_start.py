@@ -49,7 +49,7 @@ def test_each_gait_is_corrected_and_the_first_gives_the_headings(found: Any) -> 
 
 def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.CaptureFixture[str]) -> None:
     here, there = (best_start(CONFIG, model, workers) for workers in (0, 2))
-    assert (here.heats, here.steps, here.exploring) == (there.heats, there.steps, there.exploring)
+    assert (here.heats, here.exploring) == (there.heats, there.exploring)
     assert here.verdict == there.verdict
     assert here.learned.keys() == there.learned.keys() != set()
     for name, value in here.learned.items():
@@ -71,7 +71,7 @@ def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
 
 
 def test_a_runner_is_told_in_one_line(found: Any) -> None:
-    runner = Runner(candidates(found, 1)[0], 1, 1000, 0.123)
+    runner = Runner(candidates(found, 1)[0], 1, 0.123)
     assert told(runner).endswith("0.12 m/s exploring")
     judged = replace(runner, verdict=Verdict(0.2, 0.1, 3, 10, 0))
     assert told(judged).endswith("0.12 m/s exploring; the policy itself 0.20 m/s, 0.10 m/s randomised with 3 falls")

@@ -69,7 +69,7 @@ def test_somebody_drops_out_of_every_heat(count: int) -> None:
 
 def test_those_go_on_who_walk_without_falls_or_find_steps_while_exploring() -> None:
     def runner(exploring: float, policy: float, falls: int) -> Runner:
-        return Runner(FREE, 1, 100, exploring, Verdict(policy, policy, falls, 10, 0))
+        return Runner(FREE, 1, exploring, Verdict(policy, policy, falls, 10, 0), {"weights": np.ones(1)})
 
     still, seeking, falling, walking = (
         runner(0.0, 0.0, 0), runner(0.05, 0.0, 0), runner(0.2, 0.2, 9), runner(0.2, 0.2, 0),
@@ -84,11 +84,11 @@ def test_those_go_on_who_walk_without_falls_or_find_steps_while_exploring() -> N
 def test_a_heat_goes_on_from_the_one_before(model: Any) -> None:
     heat = Heat(model, SMALL, 192)
     once = heat(Runner(CORRECTED))
-    assert (once.heats, once.steps) == (1, 192)
+    assert once.heats == 1
     assert once.verdict is not None
     sent: Runner = pickle.loads(pickle.dumps(once))
     twice = heat(sent)
-    assert (twice.heats, twice.steps) == (2, 384)
+    assert twice.heats == 2
     assert bytes_of(twice) == bytes_of(heat(heat(Runner(CORRECTED))))
     afresh = heat(replace(once, learned={}))
     assert bytes_of(once) != bytes_of(twice) != bytes_of(afresh)
@@ -108,7 +108,7 @@ def test_a_training_goes_on_from_the_winner_s_last_heat(model: Any) -> None:
 def test_who_diverges_stands_still(model: Any) -> None:
     wild = replace(SMALL, ppo=replace(SMALL.ppo, learning_rate=1e38))
     runner = Heat(model, wild, 192)(Runner(FREE))
-    assert (runner.heats, runner.merit, runner.verdict) == (1, 0.0, None)
+    assert (runner.heats, runner.merit, runner.verdict) == (1, -np.inf, None)
     assert not runner.learned
     assert speed(model, wild, 192, FREE) == 0.0
 
