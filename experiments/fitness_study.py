@@ -10,7 +10,6 @@ line has the policy, too, in the form of a policy bundle, to measure it again el
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from dataclasses import dataclass
@@ -174,10 +173,11 @@ def run(n: int, seed: int, steps: int, decoder: str, rules: Solvers, workers: in
 
     from decoder.latent import sample_latents
     from evo.pool import Pool
+    from experiments.fitness_table import measured
     from mfg.outcome import Failure
 
     path = folder / "bodies.jsonl"
-    rows = read_rows(path)
+    rows = measured(path)
     if any(row.get("solver", "paper") != rules for row in rows):  # an older row is of the paper's rules
         raise BadInput(f"{path} holds bodies built by other rules than {rules}; choose another --out")
     done = {row["design"] for row in rows}
@@ -212,19 +212,6 @@ class Passes:
         design = make_decoder(self.decoder).decode(latent[None])[0]
         built = pipeline.score(design, rules=self.rules).ok and pipeline.build(design, rules=self.rules).ok
         return design.key if built else None
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The lines that are whole."""
-    if not path.exists():
-        return []
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            continue  # the last line of a study that was killed while it wrote
-    return rows
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import numpy as np
 
 from experiments.fitness_combination import combinations
 from experiments.fitness_rungs import LEAST, RESAMPLES, Row, gold, interval, rank, robust_gold, rungs
+from experiments.json_lines import read_rows
 from experiments.output import DONE, BadInput
 
 STANDS_STILL = 0.02  # speed of the virtual robot below which a ratio says nothing [m/s]
@@ -202,6 +203,18 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def measured(path: Path) -> list[Row]:
+    """The bodies that a study has measured so far.
+
+    Raises:
+        BadInput: if a whole line is not JSON.
+    """
+    try:
+        return read_rows(path)
+    except ValueError as error:
+        raise BadInput(f"{path} has a damaged line: {error}; take it out, or choose another folder") from None
+
+
 def write_tables(folder: Path) -> str:
     """Write tables and pictures from bodies.jsonl, give the text.
 
@@ -209,9 +222,8 @@ def write_tables(folder: Path) -> str:
         BadInput: if there are too few bodies.
     """
     from experiments.fitness_pictures import ladder_picture, transfer_picture
-    from experiments.fitness_study import read_rows
 
-    rows = read_rows(folder / "bodies.jsonl")
+    rows = measured(folder / "bodies.jsonl")
     found: dict[str, Any] = {
         "bodies": len(rows),
         "ladder": ladder(rows),

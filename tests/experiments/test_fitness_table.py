@@ -149,8 +149,11 @@ def test_the_files_are_written_and_too_few_bodies_refused(rows: list[dict[str, A
     assert json.loads((tmp_path / "ladder.json").read_text("utf-8"))["bodies"] == 40
     for name in ("ladder.png", "transfer.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    (tmp_path / "bodies.jsonl").write_text("\n".join(lines[:3]), encoding="utf-8")
+    (tmp_path / "bodies.jsonl").write_text("\n".join(lines[:3]) + "\n", encoding="utf-8")
     assert "too few bodies to choose" in write_tables(tmp_path)
-    (tmp_path / "bodies.jsonl").write_text("\n".join(lines[:2]), encoding="utf-8")
+    (tmp_path / "bodies.jsonl").write_text("\n".join(lines[:2]) + "\n", encoding="utf-8")
     with pytest.raises(BadInput, match="2 bodies are measured"):
+        write_tables(tmp_path)
+    (tmp_path / "bodies.jsonl").write_text(f"{lines[0]}\n{{damaged\n{lines[1]}\n", encoding="utf-8")
+    with pytest.raises(BadInput, match="damaged line"):
         write_tables(tmp_path)
