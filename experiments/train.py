@@ -7,7 +7,18 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.output import DEFAULT_SOLVER, DONE, INFEASIBLE, INTERRUPTED, SOLVERS, emit, make_folder, say, seed
+from experiments.output import (
+    DEFAULT_SOLVER,
+    DONE,
+    INFEASIBLE,
+    INTERRUPTED,
+    SOLVERS,
+    BadInput,
+    emit,
+    make_folder,
+    say,
+    seed,
+)
 from experiments.run_folder import CHECKPOINT, cores, locked, terminable, worker_count
 
 if TYPE_CHECKING:
@@ -75,6 +86,8 @@ def main(args: argparse.Namespace) -> int:
     asked = {name: value for name in FLAGS if (value := getattr(args, name)) is not None}
     if args.no_randomise:
         asked["randomise"] = False
+    if args.solver is not None and (args.robot.is_dir() or args.robot.suffix == ".xml"):
+        raise BadInput(f"--solver {args.solver} is for a design; {args.robot} is built already: leave it out")
     from experiments.policy_config import Policy
 
     document = {"kind": "policy", "robot": str(args.robot.resolve()), **asked}

@@ -155,6 +155,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(config: Path, tmp_path: Path) -> Non
         (("--task", "fly"), "invalid choice: 'fly'"),
         (("--pads", "1"), "pads = 1.0"),
         (("--history", "x"), "invalid int value: 'x'"),
+        (("--solver", "paper"), "is built already: leave it out"),
     ],
 )
 def test_bad_arguments_are_one_line(
