@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -50,3 +51,11 @@ def pendulum() -> Description:
     rod = box("rod", 0, (0.0, 0.0, 0.0), 0.5, (0.02, 0.02, 0.3), (0.0, 0.0, -0.15))
     joint = DescribedJoint("swing", 1, np.array([0.0, 1.0, 0.0]), np.array([-3.0, 3.0]), J60_6, 1, 1)
     return Description("pendulum", (root, rod), (joint,), 0, np.eye(4), "design", 1.0)
+
+
+@pytest.fixture(scope="module")
+def short_evaluation() -> Iterator[None]:
+    """Ten seconds of ten robots after every chunk or heat would be all that tests of training do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sim.training.EVALUATION_SECONDS", 0.2)
+        yield

@@ -9,33 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trainings_in_brief import CORRECTED, FREE, GAIT, SMALL
 
 from mfg.description import Description
-from sim.actor import Gait
 from sim.herd import with_latency_room
-from sim.learning import USUAL
 from sim.model import make_spec
 from sim.race import Heat, Runner, ahead, headings, heats, speed, starts
-from sim.training import Start, Trainer, Training, Verdict
+from sim.training import Trainer, Verdict
 
-SMALL = Training(
-    seed=5, steps=192, chunk=64, ppo=replace(USUAL, copies=4, horizon=16, minibatch=32, epochs=2, units=16)
-)
-GAIT = Gait(1.5, np.full(4, 0.4), np.arange(4.0), np.zeros(4))
-FREE, CORRECTED = Start(0.3, np.zeros(4)), Start(0.3, np.zeros(4), GAIT)
+pytestmark = pytest.mark.usefixtures("short_evaluation")
 
 
 @pytest.fixture(scope="module")
 def model(quadruped: Description) -> Any:
     return with_latency_room(make_spec(quadruped))
-
-
-@pytest.fixture(autouse=True, scope="module")
-def short_evaluation() -> Any:
-    """Ten seconds of ten robots after every heat would be all that these tests do."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sim.training.EVALUATION_SECONDS", 0.2)
-        yield
 
 
 def bytes_of(runner: Runner) -> bytes:
