@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.json_lines import appending
+from experiments.json_lines import appending, read_rows
 from experiments.output import DONE, BadInput, add_decoder_option, add_solver_option, make_folder, progress, say
 from experiments.run_folder import cores
 
@@ -173,11 +173,10 @@ def run(n: int, seed: int, steps: int, decoder: str, rules: Solvers, workers: in
 
     from decoder.latent import sample_latents
     from evo.pool import Pool
-    from experiments.fitness_table import measured
     from mfg.outcome import Failure
 
     path = folder / "bodies.jsonl"
-    rows = measured(path)
+    rows = read_rows(path)
     if any(row.get("solver", "paper") != rules for row in rows):  # an older row is of the paper's rules
         raise BadInput(f"{path} holds bodies built by other rules than {rules}; choose another --out")
     done = {row["design"] for row in rows}

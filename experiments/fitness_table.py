@@ -203,18 +203,6 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def measured(path: Path) -> list[Row]:
-    """The bodies that a study has measured so far.
-
-    Raises:
-        BadInput: if a whole line is not JSON.
-    """
-    try:
-        return read_rows(path)
-    except ValueError as error:
-        raise BadInput(f"{path} has a damaged line: {error}; take it out, or choose another folder") from None
-
-
 def write_tables(folder: Path) -> str:
     """Write tables and pictures from bodies.jsonl, give the text.
 
@@ -223,7 +211,7 @@ def write_tables(folder: Path) -> str:
     """
     from experiments.fitness_pictures import ladder_picture, transfer_picture
 
-    rows = measured(folder / "bodies.jsonl")
+    rows = read_rows(folder / "bodies.jsonl")
     found: dict[str, Any] = {
         "bodies": len(rows),
         "ladder": ladder(rows),

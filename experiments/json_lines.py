@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from experiments.output import BadInput
+
 Row = dict[str, Any]
 
 
@@ -15,13 +17,16 @@ def read_rows(path: Path) -> list[Row]:
     """The rows of a file, none if it is not there; a last line without an end, cut short by a kill, is left out.
 
     Raises:
-        ValueError: if a whole line is not JSON.
+        BadInput: if a whole line is not JSON.
         OSError: if the file cannot be read.
     """
     if not path.exists():
         return []
     data = path.read_bytes()
-    return [json.loads(line) for line in data[: data.rfind(b"\n") + 1].splitlines()]
+    try:
+        return [json.loads(line) for line in data[: data.rfind(b"\n") + 1].splitlines()]
+    except ValueError as error:
+        raise BadInput(f"{path} has a damaged line: {error}; take it out, or choose another file") from None
 
 
 @contextlib.contextmanager

@@ -19,7 +19,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from experiments.json_lines import Row, appending, read_rows
-from experiments.output import BAD_INPUT, DONE, INTERRUPTED, add_decoder_option, count, make_folder, progress, say, seed
+from experiments.output import (
+    BAD_INPUT,
+    DONE,
+    INTERRUPTED,
+    BadInput,
+    add_decoder_option,
+    count,
+    make_folder,
+    progress,
+    say,
+    seed,
+)
 from experiments.passthrough_table import table
 from experiments.run_folder import cores, locked, terminable, worker_count, write_json
 
@@ -123,7 +134,11 @@ def study(args: argparse.Namespace) -> int:
 
     path = args.out / VERDICTS
     head = {"seed": args.seed, "decoder": args.decoder, "program": _program(args.decoder)}
-    lines = read_rows(path)
+    try:
+        lines = read_rows(path)
+    except BadInput as trouble:
+        say(str(trouble))
+        return BAD_INPUT
     if lines and lines[0] != head:
         say(
             f"{path} was made otherwise: it says {json.dumps(lines[0])}, now it is {json.dumps(head)}; "
