@@ -71,19 +71,31 @@ class Field:
                 cval=float(OUTSIDE),
             )
         flat = points.reshape(-1, 3)
-        return np.concatenate(
-            [
-                _trilinear(self.values, (flat[k : k + BLOCK] - self.origin) / self.spacing)
-                for k in range(0, len(flat), BLOCK)
-            ]
-        ).reshape(points.shape[:-1])
+        blocks = (self._index(flat[k : k + BLOCK]) for k in range(0, len(flat), BLOCK))
+        return np.concatenate([interpolated(self.values, *index) for index in blocks]).reshape(points.shape[:-1])
+
+    def sample_at(
+        self, x: NDArray[np.floating], y: NDArray[np.floating], z: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """The same at points whose coordinates [m], three arrays that broadcast, are good to 1e-7 m: for grids."""
+        per = np.float32(1 / self.spacing)
+        index = [np.asarray(v, np.float32) * per - np.float32(c) for v, c in zip((x, y, z), self.corner, strict=True)]
+        shape = np.broadcast_shapes(*(v.shape for v in index))
+        flat = [np.array(np.broadcast_to(v, shape)).ravel() for v in index]
+        blocks = [interpolated(self.values, *(v[k : k + BLOCK] for v in flat)) for k in range(0, len(flat[0]), BLOCK)]
+        return np.concatenate(blocks).reshape(shape)
+
+    def _index(self, points: NDArray[np.float64]) -> list[NDArray[np.float32]]:
+        """Where points (n, 3) lie, in samples along every axis, (n,) each."""
+        place = np.ascontiguousarray(points.T)
+        place = (place - self.origin[:, None]) / self.spacing
+        return list(place.astype(np.float32))
 
     def sloped(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth at points (..., 3) as `sample` gives it, and its slope there, (..., 3) [m/m]; 0 beyond the lattice."""
         flat = points.reshape(-1, 3)
         blocks = [
-            _trilinear_slope(self.values, (flat[k : k + BLOCK] - self.origin) / self.spacing)
-            for k in range(0, max(len(flat), 1), BLOCK)
+            _trilinear_slope(self.values, *self._index(flat[k : k + BLOCK])) for k in range(0, max(len(flat), 1), BLOCK)
         ]
         depth, slope = (np.concatenate(part) for part in zip(*blocks, strict=True))
         slope /= np.float32(self.spacing)
@@ -127,27 +139,32 @@ class Field:
         return (x, y, z), (u, v, w)
 
 
-def _trilinear(values: NDArray[np.float32], index: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values between samples at index (n, 3), `OUTSIDE` beyond; half as long as `map_coordinates` takes, to 1e-7."""
-    first, (u, v, w), outside = _cells(values, index)
+def interpolated(
+    values: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Values between samples at index x, y, z (n,), written over; `OUTSIDE` beyond.
+
+    A third as long as `map_coordinates` takes, to 1e-5 of the difference between two samples.
+    """
+    first, outside = _cells(values, x, y, z)
     row, layer = values.shape[2], values.shape[1] * values.shape[2]
     flat = values.ravel()
 
     def along(step: int) -> NDArray[np.float32]:
         # A neighbour beyond the last sample counts for nothing: it is outside, or its weight is 0.
         low, high = flat[step:].take(first, mode="clip"), flat[step + 1 :].take(first, mode="clip")
-        return _between(low, high, w)
+        return _between(low, high, z)
 
-    found = _between(_between(along(0), along(row), v), _between(along(layer), along(layer + row), v), u)
+    found = _between(_between(along(0), along(row), y), _between(along(layer), along(layer + row), y), x)
     found[outside] = OUTSIDE
     return found
 
 
 def _trilinear_slope(
-    values: NDArray[np.float32], index: NDArray[np.float64]
+    values: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The same with the slope of what is interpolated, (n, 3), per sample; 0 beyond."""
-    first, (u, v, w), outside = _cells(values, index)
+    first, outside = _cells(values, u, v, w)
     row, layer = values.shape[2], values.shape[1] * values.shape[2]
     flat = values.ravel()
     faces = []
@@ -168,16 +185,24 @@ def _trilinear_slope(
 
 
 def _cells(
-    values: NDArray[np.float32], index: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], tuple[NDArray[np.float32], ...], NDArray[np.bool_]]:
-    """For points at index (n, 3): flat index of the first corner of the cell, place in it, whether there is none."""
-    x, y, z = np.ascontiguousarray(index.T)
-    i, j, k = x.astype(np.int32), y.astype(np.int32), z.astype(np.int32)
-    share = tuple((a - b).astype(np.float32) for a, b in ((x, i), (y, j), (z, k)))
-    row, layer = values.shape[2], values.shape[1] * values.shape[2]
+    values: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """For points at index x, y, z: flat index of the first corner of the cell, and whether there is no cell.
+
+    The place in the cell is written over the index. Whole numbers up to 2^24 are exact in 32 bits of floating point,
+    and no field has so many samples.
+    """
     a, b, c = (n - 1 for n in values.shape)
     outside = (x < 0) | (x > a) | (y < 0) | (y > b) | (z < 0) | (z > c)
-    return i.astype(np.intp) * layer + (j * row + k), share, outside
+    i, j, k = np.trunc(x), np.trunc(y), np.trunc(z)
+    x -= i
+    y -= j
+    z -= k
+    i *= np.float32(values.shape[1] * values.shape[2])
+    j *= np.float32(values.shape[2])
+    i += j
+    i += k
+    return i.astype(np.intp), outside
 
 
 def _between(low: NDArray[np.float32], high: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -204,6 +229,19 @@ def cylindrical(
     along = x * u + y * v + z * w
     radial = np.sqrt(np.maximum(x * x + y * y + z * z - along * along, 0))
     return radial, along
+
+
+def about_axis(
+    T_design_axis: NDArray[np.float64], radius: NDArray[np.floating], angle: NDArray[np.floating],
+    height: NDArray[np.floating],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+    """Coordinates of points about the z axis of a frame, for `Field.sample_at`; the three arrays broadcast [m]."""
+    (x, y, z), o = T_design_axis[:3, :3].T, T_design_axis[:3, 3]
+    a, b = radius * np.cos(angle), radius * np.sin(angle)
+    # Whatever the shapes: only the last sum is as large as the grid.
+    one, two, three = ((a * x[k] + b * y[k]).astype(np.float32) + (o[k] + height * z[k]).astype(np.float32)
+                       for k in range(3))  # fmt: skip
+    return one, two, three
 
 
 def cylinder_depth(

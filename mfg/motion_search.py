@@ -29,7 +29,6 @@ class SearchMotionSolver:
         gap: room left between a carved bone and the sweep [m].
         max_loss: largest share of a bone that carving may leave floating.
         max_carved: largest share of a bone's volume that carving for one joint may take.
-        rounding: width of the blur that takes sharp edges off afterwards [samples].
         angle_step, radial_step: resolution of the cylindrical grid [rad], [m].
         far_step: radial resolution for bodies that the joint does not join [m].
     """
@@ -39,7 +38,6 @@ class SearchMotionSolver:
     gap: float = 1.5e-3
     max_loss: float = 0.15
     max_carved: float = 0.30
-    rounding: float = 1.0
     angle_step: float = 2 * np.pi / 80
     radial_step: float = 5e-3
     far_step: float = 1e-2
@@ -79,7 +77,8 @@ class SearchMotionSolver:
                     return self._refused(hinge, bodies, (standing, moving, carved), free, max(floating, taken))
                 bodies[carved] = body
             hinges.append(replace(hinge, range=np.array([low, high])))
-        return replace(blueprint, bodies=tuple(self._smooth(body) for body in bodies), hinges=tuple(hinges))
+        smooth = tuple(replace(b, bone=rounded(b.bone), skin=b.skin and rounded(b.skin)) for b in bodies)
+        return replace(blueprint, bodies=smooth, hinges=tuple(hinges))
 
     def _refused(
         self, hinge: Hinge, bodies: list[Body], indices: tuple[int, int, int], free: tuple[float, float], lost: float
@@ -94,10 +93,6 @@ class SearchMotionSolver:
             f"clearing the way would take {100 * lost:.0f} % of {carved}; more room between the two would mend it",
             Miss("range of motion", "rad", free[side], float(least[side]), (hinge.body - 1,), indices[:2]),
         )
-
-    def _smooth(self, body: Body) -> Body:
-        skin = None if body.skin is None else rounded(body.skin, self.rounding)
-        return replace(body, bone=rounded(body.bone, self.rounding), skin=skin)
 
 
 def _moved(blueprint: Blueprint) -> list[set[int]]:

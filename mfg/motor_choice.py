@@ -30,11 +30,11 @@ class Stuck:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Clearance:
-    """What is known about the envelope of one motor and those of others.
+    """What is known about the envelopes of m motors and those of n others.
 
     Attributes:
-        distance: clear distance between them, at most the true one; negative where they may meet [m], (n,).
-        meet: whether they certainly share a point, (n,).
+        distance: clear distance between them, at most the true one; negative where they may meet [m], (m, n).
+        meet: whether they certainly share a point, (m, n).
     """
 
     distance: Array
@@ -42,7 +42,7 @@ class Clearance:
 
     @staticmethod
     def of(T: Array, U: Array, mount: Mount) -> Clearance:
-        """Compare a motor at pose T (4, 4) with motors at poses U (n, 4, 4).
+        """Compare motors at poses T (m, 4, 4) with motors at poses U (n, 4, 4).
 
         The envelopes are taken as plain cylinders. Apart is what casts shadows that are apart on the two axes, on their
         common normal, or on the lines between their middles and between their nearest axis points; the widest gap is
@@ -50,38 +50,46 @@ class Clearance:
         """
         low, high = mount.base_low, mount.connector_high
         half, radius = (high - low) / 2, mount.envelope_radius
-        w = U[:, :3, 2]
-        z = np.broadcast_to(T[:3, 2], w.shape)
-        between = U[:, :3, 3] - T[:3, 3] + (low + high) / 2 * (w - z)
+        middle = (low + high) / 2
+        # Components come first, (3, m, n): numpy multiplies many short vectors slowly.
+        z, w = T[:, :3, 2].T[:, :, None], U[:, :3, 2].T[:, None]
+        between = (U[:, :3, 3].T[:, None] + middle * w) - (T[:, :3, 3].T[:, :, None] + middle * z)
         cosine, ahead, back = _dot(z, w), _dot(between, z), _dot(between, w)
         # The nearest points of two segments, by alternating projection: near enough to propose a direction.
-        s = np.zeros(cosine.shape)
+        s: Array = np.zeros(cosine.shape)
         for _ in range(3):
             t = np.clip(s * cosine - back, -half, half)
             s = np.clip(t * cosine + ahead, -half, half)
-        near = s[..., None] * z
-        shortest = between + t[..., None] * w - near
-        normal = np.stack([z[:, 1] * w[:, 2] - z[:, 2] * w[:, 1], z[:, 2] * w[:, 0] - z[:, 0] * w[:, 2],
-                           z[:, 0] * w[:, 1] - z[:, 1] * w[:, 0]], axis=1)  # fmt: skip
-        ways = np.stack([z, w, normal, between, shortest])  # (5, n, 3), as all below in one go: this is called often
-        length = np.sqrt(_dot(ways, ways))
-        n = ways / np.maximum(length, 1e-12)[..., None]
-        on_z, on_w = np.abs(_dot(n, z)), np.abs(_dot(n, w))
-        shadows = half * on_z + radius * np.sqrt(np.maximum(1 - on_z**2, 0.0))
-        shadows += half * on_w + radius * np.sqrt(np.maximum(1 - on_w**2, 0.0))
-        distance = np.where(length > 1e-9, np.abs(_dot(n, between)) - shadows, -np.inf).max(0)
+        shortest = between + t * w - s * z
+        sine = np.sqrt(np.maximum(1 - cosine * cosine, 0.0))
+        # What a direction n shows: |n z|, |n w| and |n (middle to middle)|, in the order in which they are named above.
+        long, short = np.sqrt(_dot(between, between)), np.sqrt(_dot(shortest, shortest))
+        normal = np.stack([z[1] * w[2] - z[2] * w[1], z[2] * w[0] - z[0] * w[2], z[0] * w[1] - z[1] * w[0]])
+        on_z = np.stack([np.ones_like(cosine), cosine, np.zeros_like(cosine), ahead / np.maximum(long, 1e-12),
+                         _dot(shortest, z) / np.maximum(short, 1e-12)])  # fmt: skip
+        on_w = np.stack([cosine, on_z[0], on_z[2], back / np.maximum(long, 1e-12),
+                         _dot(shortest, w) / np.maximum(short, 1e-12)])  # fmt: skip
+        apart = np.stack([ahead, back, _dot(normal, between) / np.maximum(sine, 1e-12), long,
+                          _dot(shortest, between) / np.maximum(short, 1e-12)])  # fmt: skip
+        gap = np.abs(apart)
+        for on in (np.abs(on_z), np.abs(on_w)):
+            gap -= half * on + radius * np.sqrt(np.maximum(1 - on * on, 0.0))
+        for way, length in ((2, sine), (3, long), (4, short)):
+            gap[way][length <= 1e-9] = -np.inf
         slim = min(mount.holder_radius, mount.connector_radius)
-        points = np.stack([0.5 * between, near + 0.3 * shortest, near + 0.5 * shortest, near + 0.7 * shortest])
-        both = np.ones(points.shape[:2], bool)
-        for axis, from_it in ((z, points), (w, points - between)):
-            along = _dot(from_it, axis)
-            both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along**2 < slim**2)
-        meet = np.asarray(both.any(0))
-        return Clearance(distance, meet)
+        near = s * z
+        meet: Mask = np.zeros(cosine.shape, bool)
+        for point in (0.5 * between, near + 0.3 * shortest, near + 0.5 * shortest, near + 0.7 * shortest):
+            both: Mask = np.ones(cosine.shape, bool)
+            for axis, from_it in ((z, point), (w, point - between)):
+                along = _dot(from_it, axis)
+                both &= (np.abs(along) < half) & (_dot(from_it, from_it) - along * along < slim**2)
+            meet |= both
+        return Clearance(gap.max(axis=0), meet)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("...i,...i->...", a, b), np.float64)
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2], np.float64)
 
 
 def choose(
@@ -125,6 +133,7 @@ class _Search:
         self._possible, self._accept = possible, cache(accept)
         self._clear = cache(clear)
         self.open = [np.ones(len(s), bool) for s in scores]  # False once refused
+        self.refusals = 0
         self.best: list[int] | None = None
         self.total = -np.inf
         self.stuck = Stuck(0, None)
@@ -132,8 +141,11 @@ class _Search:
 
     def accepted(self, joint: int, a: int) -> bool:
         """Whether a candidate is good by itself; once refused it is never tried again."""
-        self.open[joint][a] = self._accept(joint, a)
-        return bool(self.open[joint][a])
+        good = self._accept(joint, a)
+        if not good and self.open[joint][a]:
+            self.open[joint][a] = False
+            self.refusals += 1
+        return good
 
     def descend(self, chosen: list[int], left: list[Mask]) -> None:
         """Try every candidate of the next joint that those chosen leave over."""
@@ -144,12 +156,15 @@ class _Search:
             return
         before = self.sum(chosen)
         found, refused = False, np.zeros(len(chosen), int)
+        after, refusals = 0.0, -1
         for a in np.flatnonzero(left[joint]).tolist():
-            after = sum(self.top(i, left[i]) for i in range(joint + 1, len(self.scores)))
+            if refusals != self.refusals:  # else nothing here has changed
+                refusals = self.refusals
+                after = sum(self.top(i, left[i]) for i in range(joint + 1, len(self.scores)))
+                if not all(self.open[i][b] for i, b in enumerate(chosen)):
+                    return
             if before + float(self.scores[joint][a]) + after <= self.total or self.steps <= 0:
                 break
-            if not all(self.open[i][b] for i, b in enumerate(chosen)):
-                return
             if not self.open[joint][a]:
                 continue
             self.steps -= 1

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FUSED = 5.0e-7  # what the exact solids of a mount and its bone must share to be one part: a cube of 8 mm [m3]
 CLOSE_PAIRS = 200  # pairs of seats among which the one that is nearest to being got at is sought
+ROWS = 16  # seats of a joint that are compared with those of another in one go
 CLOSE_LOOKS = 6  # seats of a hopeless joint among which the strongest is sought
 
 
@@ -93,11 +94,7 @@ class SearchMotorSolver:
             answer = self._choice(blueprint, joints, every=True)
         if isinstance(answer, Stuck):
             return self._stuck(blueprint, joints, answer)
-        for walls in range(catalogue.rigid.walls, most):
-            thinner = [joint.of_plastic(self.plastic(catalogue, walls)) for joint in joints]
-            if all(j.safety(k, self.min_safety) >= self.min_safety for j, k in zip(thinner, answer, strict=True)):
-                joints, most = thinner, walls
-                break
+        most, joints = self._thinnest(catalogue, most, joints, answer)
         if most > catalogue.rigid.walls:
             stronger = replace(catalogue, rigid=replace(catalogue.rigid, walls=most))
             blueprint = replace(blueprint, catalogue=stronger).noted(
@@ -111,6 +108,19 @@ class SearchMotorSolver:
                 cut = self._cut(whole[index], blueprint, seat, index, mount)
                 whole[index] = cut or whole[index]  # Two cuts that pass alone may sever together: finish will tell.
         return with_seats(replace(blueprint, bodies=tuple(whole)), seats, self.alpha)
+
+    def _thinnest(
+        self, catalogue: Catalogue, most: int, joints: list[Candidates], seats: list[int]
+    ) -> tuple[int, list[Candidates]]:
+        """The fewest walls, up to those that are strong enough, that make every mount so, and the joints with them."""
+        thinner = {walls: [joint.of_plastic(self.plastic(catalogue, walls)) for joint in joints]
+                   for walls in range(catalogue.rigid.walls, most)}  # fmt: skip
+        walls = catalogue.rigid.walls
+        # The weakest mount decides nearly always, so that the others are looked at once.
+        for index in sorted(range(len(joints)), key=lambda index: joints[index].safety(seats[index])):
+            while walls < most and thinner[walls][index].safety(seats[index], self.min_safety) < self.min_safety:
+                walls += 1
+        return walls, thinner.get(walls, joints)
 
     def plastic(self, catalogue: Catalogue, walls: int) -> Plastic:
         """What bones with so many walls are made of, as this solver reckons with it."""
@@ -129,14 +139,14 @@ class SearchMotorSolver:
         poses = [np.array([seat.T_design_motor for seat in some]) for some in seats]
 
         @cache
-        def known(i: int, a: int, j: int) -> Clearance:
-            return Clearance.of(poses[i][a], poses[j], mount)
+        def known(i: int, block: int, j: int) -> Clearance:
+            return Clearance.of(poses[i][block * ROWS : (block + 1) * ROWS], poses[j], mount)
 
         def possible(i: int, a: int, j: int) -> Mask:
-            return ~known(i, a, j).meet
+            return ~known(i, a // ROWS, j).meet[a % ROWS]
 
         def clear(i: int, a: int, j: int, b: int) -> bool:
-            apart = float(known(i, a, j).distance[b])
+            apart = float(known(i, a // ROWS, j).distance[a % ROWS, b])
             # The exact test grows the rim of an envelope by the gap both ways.
             if apart < math.sqrt(2) * self.gap and not (
                 every and not envelopes_meet(poses[i][a], poses[j][b], mount, self.gap)
@@ -231,8 +241,8 @@ class SearchMotorSolver:
         mount = mount_of(blueprint.catalogue.motor)
         names = f"{joint.hinge.name} and {other.hinge.name}"
         fit = [self._not_weak(j) for j in (joint, other)]
-        poses = np.array([seat.T_design_motor for seat in fit[1]]).reshape(-1, 4, 4)
-        distance = np.array([Clearance.of(seat.T_design_motor, poses, mount).distance for seat in fit[0]])
+        poses = [np.array([seat.T_design_motor for seat in some]).reshape(-1, 4, 4) for some in fit]
+        distance = Clearance.of(poses[0], poses[1], mount).distance
         short = self.gap - float(distance.max(initial=-np.inf))
         hidden = self._hidden(fit, distance, mount) if short <= 0 else 0.0
         need = max(short, hidden, 0.0)

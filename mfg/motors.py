@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfg.blueprint import Blueprint, Hinge, MotorSeat
-from mfg.fields import Field, coverage
+from mfg.fields import Field, about_axis, coverage
 from mfg.miss import Miss
 from mfg.mounts import MIN_OVERLAP, Mount, envelope_depth, motor_pose, mount_of
 from mfg.outcome import Failure, Reason, Stage
@@ -112,10 +112,9 @@ class MotorSolver:
         radius: NDArray[np.float64] = mount.attach_radius + (np.arange(self.ring_steps, dtype=np.float64) + 0.5) * width
         angle = (np.arange(self.angle_steps) + 0.5) * (2 * np.pi / self.angle_steps)
         T = motor_pose(hinge.position, hinge.axis, 0.0)
-        circle = np.cos(angle)[:, None] * T[:3, 0] + np.sin(angle)[:, None] * T[:3, 1]
-        slices = hinge.position + (edges[:-1] + self.step / 2)[:, None] * hinge.axis
-        points = slices[:, None, None] + radius[:, None, None] * circle  # (height, ring, angle, 3)
-        share = coverage(bone.sample(points), width).mean(axis=2, dtype=np.float64)
+        middles = edges[:-1] + self.step / 2
+        depth = bone.sample_at(*about_axis(T, radius[:, None], angle, middles[:, None, None]))  # (height, ring, angle)
+        share = coverage(depth, width).mean(axis=2, dtype=np.float64)
         below = np.concatenate([np.zeros((1, self.ring_steps)), np.cumsum(share * self.step, axis=0)])
         return Rings(mount, edges, radius, width, below)
 

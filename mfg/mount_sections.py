@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from mfg.fields import Field, coverage, cylindrical
+from mfg.fields import Field, about_axis, coverage, cylindrical
 from mfg.mounts import Mount, motor_pose
 from mfg.strength import (
     BODY_SHARE,
@@ -78,12 +78,15 @@ class _Cells:
         normal: of the can there, (n, 3).
         area: that a cell cuts [m2], (n,).
         depth: of the bone [m], (n,).
+        ends: the cells at both ends of every row of the can's faces and side, (k,): where a stiff motion of it, whose
+            square is convex along a line of cells with one normal, is greatest.
     """
 
     point: Array
     normal: Array
     area: Array
     depth: NDArray[np.float32]
+    ends: Index
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -149,9 +152,8 @@ class Sections:
         height = (np.arange(2 * half) + 0.5 - half) * CELL
         radius = mount.attach_radius + (np.arange(rings) + 0.5) * CELL
         T = motor_pose(position, axis, 0.0)
-        circle = _circle() @ T[:3, :2].T
-        points = (position + height[:, None] * axis)[:, None, None] + radius[:, None, None] * circle
-        return Sections(mount, plastic, bone.sample(points), -half * CELL, _Lattice.of(bone, T), T)
+        depth = bone.sample_at(*about_axis(T, radius[:, None], _angles(), height[:, None, None]))
+        return Sections(mount, plastic, depth, -half * CELL, _Lattice.of(bone, T), T)
 
     def safety(self, offset: float, half: Half, flipped: bool = False, least: float = 0.0) -> float:
         """Strength over the greatest stress in any section around one half of the mount; 0 where nothing holds it.
@@ -267,7 +269,7 @@ class Sections:
         normal = np.column_stack([circle * side[:, None], 1.0 - side])
         point = np.column_stack([radius[:, None] * circle, self.low + (z + 0.5) * CELL])
         area = np.asarray(CELL * (2 * np.pi / AZIMUTHS) * radius, np.float64)
-        return _Cells(point, normal, area, self.depth[z, r, around])
+        return _Cells(point, normal, area, self.depth[z, r, around], _ends(shell.filled, shell.radius))
 
     def _cut(self, cells: _Cells) -> float | None:
         """The greatest stress in one section [Pa]; None where it cannot carry a couple."""
@@ -289,6 +291,7 @@ class Sections:
         if np.linalg.eigvalsh(scaled)[0] < 1e-9 * np.trace(scaled):
             return None
         motion = np.linalg.solve(K, _couples(self.mount.motor.peak_torque))  # (6, directions)
+        point, arm = point[cells.ends], arm[cells.ends]
         # Every cell moves by the section's shift and turn; the part of it along the normal pulls, the rest shears.
         a, b, c = motion[3:]
         still = np.zeros(DIRECTIONS)
@@ -312,8 +315,30 @@ def _couples(peak_torque: float) -> Array:
 @lru_cache(maxsize=1)
 def _circle() -> Array:
     """Directions of the cells around the axis, (AZIMUTHS, 2)."""
-    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
-    return np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.column_stack([np.cos(_angles()), np.sin(_angles())])
+
+
+def _angles() -> Array:
+    return np.asarray((np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS), np.float64)
+
+
+def _ends(filled: Mask, side: int) -> Index:
+    """Of the filled cells of a can, in their order, the first and the last of every row of each face and of the side.
+
+    Args:
+        filled: of the cells, (n, AZIMUTHS): `side` cells of one face along the meridian, the side's, then as many of
+            the other face.
+        side: as many.
+    """
+    number = np.cumsum(filled).reshape(filled.shape) - 1
+    found = []
+    for part in (slice(0, side), slice(side, len(filled) - side), slice(len(filled) - side, None)):
+        here, order = filled[part], number[part]
+        if len(here):
+            around = np.flatnonzero(here.any(axis=0))
+            found += [order[here.argmax(axis=0)[around], around],
+                      order[len(here) - 1 - here[::-1].argmax(axis=0)[around], around]]  # fmt: skip
+    return np.unique(np.concatenate(found))
 
 
 def _linked(filled: Mask, next_to: Mask) -> Mask:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decoder.design import GRID, Material, VoxelDesign
+from mfg.along_axes import refined
 from mfg.blueprint import Blueprint, Body
 from mfg.bones import cut_cylinder
 from mfg.fields import Field
@@ -21,7 +22,6 @@ from mfg.voxel_fields import (
     bounding_window,
     halved,
     opened_min,
-    refined,
     smooth_field,
     whole_field,
 )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decoder.design import DEPTH_UNIT, Material, VoxelDesign
+from mfg.along_axes import blurred, refined
 from mfg.fields import Field, Window
 from mfg.voxel_distances import distances
 
@@ -87,13 +88,13 @@ def measured_field(
     known = _around(depth, window, "edge").astype(np.float32) / np.float32(DEPTH_UNIT)
     inside = known > 0
     # Steps of 1/16 voxel would show as ripples. 2 G - G G takes them off and leaves cubic surfaces where they are.
-    once = _blurred(known, smoothing)
-    known = 2 * once - _blurred(once, smoothing)
+    once = blurred(known, smoothing)
+    known = 2 * once - blurred(once, smoothing)
     others = inside & ~crop
     if not fine:
         if others.any():
             here = _reached(others)
-            beside = _blurred(_towards(crop[here], others[here]), smoothing)
+            beside = blurred(_towards(crop[here], others[here]), smoothing)
             known[here] = opened_min(known[here], beside, opening, 1)
         return _field(known, low, pitch, fine)
     # A stored depth ends somewhere; deep inside, distances between voxels keep the ridge where clearance is measured.
@@ -240,31 +241,10 @@ def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float) -> NDArray[np.
     """Euclidean depth of a voxel set at voxel centres [voxels], smoothed near its surface."""
     between = distances(occupied) - distances(~occupied)
     depth = (between - np.where(occupied, 0.5, -0.5)).astype(np.float32)
-    rounded = _blurred(depth, smoothing)
+    rounded = blurred(depth, smoothing)
     # Only the surface needs rounding; deep inside, smoothing would flatten the ridge where clearance is measured.
     depth += np.clip((3.0 - np.abs(depth)) / 1.5, 0.0, 1.0) * (rounded - depth)
     return depth
-
-
-def _blurred(values: NDArray[np.float32], width: float) -> NDArray[np.float32]:
-    return ndimage.gaussian_filter(values, width, mode="nearest", truncate=3.0)
-
-
-def refined(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The values with a sample half-way between neighbours, along every axis."""
-    for axis in range(3):
-        values = _halved(values, axis)
-    return values
-
-
-def _halved(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Insert a sample half-way between neighbours along one axis (cubic Lagrange weights -1, 9, 9, -1 over 16)."""
-    v = np.moveaxis(values, axis, 0)
-    out = np.zeros((2 * len(v) - 1, *v.shape[1:]), np.float32)
-    out[::2] = v
-    e = np.concatenate([v[:1], v, v[-1:]])
-    out[1::2] = (9.0 * (e[1:-2] + e[2:-1]) - e[:-3] - e[3:]) / 16.0
-    return np.moveaxis(out, 0, axis)
 
 
 def _field(depth: NDArray[np.floating], low: NDArray[np.int64], pitch: float, fine: bool) -> Field:

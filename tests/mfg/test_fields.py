@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from mfg.fields import BLOCK, MANY, OUTSIDE, Field, box_depth, coverage, cylinder_depth, cylindrical
+from mfg.fields import BLOCK, MANY, OUTSIDE, Field, about_axis, box_depth, coverage, cylinder_depth, cylindrical
+from mfg.mounts import motor_pose
 
 
 def ball(
@@ -38,6 +39,8 @@ def test_sampling_is_trilinear_however_many_points_are_asked_for(count: int) -> 
     index[edges] = rng.choice([0.0, 1.0], edges.sum()) * np.broadcast_to((4.0, 6.0, 3.0), index.shape)[edges]
     points = (index + field.corner) * field.spacing
     index = (points - field.origin) / field.spacing  # as rounding leaves it
+    if count >= MANY:
+        index = index.astype(np.float32).astype(np.float64)
     expected = np.full(count, OUTSIDE)
     inside = np.flatnonzero(((index >= 0) & (index <= (4, 6, 3))).all(axis=1))
     low = np.minimum(np.floor(index[inside]).astype(int), (3, 5, 2))
@@ -48,6 +51,22 @@ def test_sampling_is_trilinear_however_many_points_are_asked_for(count: int) -> 
         expected[inside] += weight * field.values[tuple((low + corner).T)]
     np.testing.assert_allclose(field.sample(points), expected, atol=1e-6)
     np.testing.assert_array_equal(field.sample(points.reshape(1, count, 1, 3))[0, :, 0], field.sample(points))
+
+
+def test_sampling_a_grid_about_an_axis_is_sampling_its_points() -> None:
+    rng = np.random.default_rng(5)
+    field = Field(rng.normal(size=(9, 7, 8)).astype(np.float32), (3, -2, 11), 0.005)
+    T = motor_pose(field.origin + 0.5 * 0.005 * np.array([8, 6, 7]), np.array([0.6, 0.0, -0.8]), 0.003)
+    radius, angle, height = rng.uniform(0, 0.02, 5), rng.uniform(-9, 9, 40), rng.uniform(-0.03, 0.03, 60)
+    found = field.sample_at(*about_axis(T, radius[:, None, None], angle[:, None], height))
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(40)], axis=-1)
+    local = radius[:, None, None, None] * circle[:, None] + height[:, None] * np.array([0.0, 0.0, 1.0])
+    expected = field.sample(local @ T[:3, :3].T + T[:3, 3])
+    assert found.shape == (5, 40, 60)
+    assert ((found == OUTSIDE) != (expected == OUTSIDE)).mean() < 1e-4  # but for those on the very edge
+    both = (found != OUTSIDE) & (expected != OUTSIDE)
+    assert 0.2 < both.mean() < 0.9
+    np.testing.assert_allclose(found[both], expected[both], atol=1e-4)  # of differences of a few between samples
 
 
 @pytest.mark.parametrize("count", [0, 5, BLOCK + 3])

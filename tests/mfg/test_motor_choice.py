@@ -85,18 +85,18 @@ def test_clearance_never_claims_more_than_is_true(seed: int) -> None:
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     T = motor_pose(np.zeros(3), axes[0], 0.0)
     U = np.array([motor_pose(rng.uniform(-0.12, 0.12, 3), a, 0.0) for a in axes[1:]])
-    found = Clearance.of(T, U, MOUNT)
+    found = Clearance.of(T[None], U, MOUNT)
     one = envelope(MOUNT, 0.0).moved(T)
     for k, other in enumerate(U):
         shared = one.overlap(envelope(MOUNT, 0.0).moved(other))
-        if found.distance[k] > 0:
+        if found.distance[0, k] > 0:
             assert shared == 0.0
-            assert not envelopes_meet(T, other, MOUNT, float(found.distance[k]) / np.sqrt(2))
-            assert not found.meet[k]
+            assert not envelopes_meet(T, other, MOUNT, float(found.distance[0, k]) / np.sqrt(2))
+            assert not found.meet[0, k]
             points = surface_points(envelope(MOUNT, 0.0), 4e-3) @ T[:3, :3].T + T[:3, 3]
             rest = cylinder_distance(points, other, MOUNT.envelope_radius, MOUNT.base_low, MOUNT.connector_high)
-            assert rest.min() >= found.distance[k] - 1e-9
-        if found.meet[k]:
+            assert rest.min() >= found.distance[0, k] - 1e-9
+        if found.meet[0, k]:
             assert shared > 0.0
 
 
@@ -104,6 +104,6 @@ def test_clearance_of_parallel_motors_is_exact() -> None:
     reach = 2 * MOUNT.envelope_radius
     T, U = np.eye(4), np.eye(4)
     U[0, 3] = reach + 0.013
-    assert Clearance.of(T, U[None], MOUNT).distance[0] == pytest.approx(0.013)
+    assert Clearance.of(T[None], U[None], MOUNT).distance[0, 0] == pytest.approx(0.013)
     U[:3, 3] = 0.0, 0.0, MOUNT.connector_high - MOUNT.base_low + 0.004
-    assert Clearance.of(T, U[None], MOUNT).distance[0] == pytest.approx(0.004)
+    assert Clearance.of(T[None], U[None], MOUNT).distance[0, 0] == pytest.approx(0.004)
