@@ -22,7 +22,12 @@ def refined(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
     By the cubic through the four samples around it, weights -1, 9, 9, -1 over 16.
     """
-    return _mapped(values, *(_between(n) for n in values.shape))
+    return _mapped(values, *(_cubic(n) for n in values.shape))
+
+
+def halfway(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The values with the mean of two neighbours half-way between them, along every axis."""
+    return _mapped(values, *(_linear(n) for n in values.shape))
 
 
 def _mapped(values: NDArray[np.float32], a: Matrix, b: Matrix, c: Matrix) -> NDArray[np.float32]:
@@ -43,12 +48,20 @@ def _gaussian(n: int, width: float) -> Matrix:
 
 
 @lru_cache(maxsize=256)
-def _between(n: int) -> Matrix:
+def _cubic(n: int) -> Matrix:
     one = np.eye(n)
     ends = np.concatenate([one[:1], one, one[-1:]])
     out = np.zeros((2 * n - 1, n))
     out[::2] = one
     out[1::2] = (9.0 * (ends[1:-2] + ends[2:-1]) - ends[:-3] - ends[3:]) / 16.0
+    return _matrix(out)
+
+
+@lru_cache(maxsize=256)
+def _linear(n: int) -> Matrix:
+    out = np.zeros((2 * n - 1, n))
+    out[::2] = np.eye(n)
+    out[1::2] = (out[:-1:2] + out[2::2]) / 2
     return _matrix(out)
 
 

@@ -13,7 +13,7 @@ from mfg.fields import Field, cylinder_depth, cylindrical
 from mfg.miss import Miss
 from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
-from mfg.voxel_fields import between_centres, bone_field, halved, opened_min
+from mfg.voxel_fields import between_centres, bone_field, bounding_window, halved, opened_min
 
 
 @dataclass(frozen=True)
@@ -105,12 +105,17 @@ def cut_cylinder(
 
 def largest_piece(field: Field) -> tuple[Field, float]:
     """Keep the largest connected piece of phi > 0; also return the share of the volume that was dropped."""
-    pieces, count = ndimage.label(field.values > 0)
+    inside = field.values > 0
+    if not inside.any():
+        return field, 1.0
+    window = bounding_window(inside)[1]
+    pieces, count = ndimage.label(inside[window])
     if count <= 1:
-        return field, 0.0 if count else 1.0
+        return field, 0.0
     sizes = np.bincount(pieces.ravel())[1:]
     main = int(np.argmax(sizes)) + 1
     dropped = (pieces > 0) & (pieces != main)
     # Also push down the samples just outside a dropped piece's surface, so that no sliver of it is meshed.
-    values = np.where(dropped, np.minimum(field.values, -field.spacing), field.values)
+    values = field.values.copy()
+    values[window][dropped] = np.minimum(values[window][dropped], -field.spacing)
     return field.with_values(values), float(1 - sizes[main - 1] / sizes.sum())

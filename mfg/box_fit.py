@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 CENTRES = 900  # centres looked at in one bone; a bone with more has room, and every second sample will do
 CELL = 0.020  # edge of the cells over which the places that are kept are spread [m]
 KEPT = 160  # places kept for one box in one bone
+LOOKED_AT = 1200  # places of one box whose corners are sampled between the samples
 SURFACE = 0.012  # greatest distance between points on the surface of a box while places are compared [m]
+ACROSS = (0, 7, 3, 4, 5, 2, 6, 1)  # the corners, opposite ones in turn: they rule places out soonest
 _SIGNS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -98,30 +100,49 @@ def places(depth: Field, half: Array, turns: Array, wall: float, slack: float) -
     nearest = np.rint(corners)
     step, error = nearest.astype(int) @ strides, h * np.linalg.norm(corners - nearest, axis=-1).astype(np.float32)
     middle, turn = np.nonzero(flat[base[:, None] + step[:, 0]] >= least - error[:, 0])
-    for k in range(1, 8):
-        ok = flat[base[middle] + step[turn, k]] >= least - error[turn, k]
-        middle, turn = middle[ok], turn[ok]
+    about = flat[base[middle] + step[turn, 0]]
+    for k in ACROSS[1:]:
+        value = flat[base[middle] + step[turn, k]]
+        ok = np.flatnonzero(value >= least - error[turn, k])
+        middle, turn, about = middle[ok], turn[ok], np.minimum(about[ok], value[ok])
     if not len(middle):
         return nothing
     centre = np.asarray((middles + depth.corner) * h, np.float64)
-    margin = depth.sample(centre[middle][:, None] + (corners * h)[turn]).min(axis=1) - np.float32(wall)
-    found = Places(half, centre[middle], turns[turn], margin.astype(np.float64))
-    found = spread(found.only(margin >= -slack), KEPT)
+    # In a bone with much more room than it takes, only the most promising are looked at closely.
+    kept = spread(centre[middle], about, LOOKED_AT)
+    middle, turn = middle[kept], turn[kept]
+    margin: Array = np.full(len(middle), np.inf)
+    for pair in (ACROSS[:2], ACROSS[2:4], ACROSS[4:]):
+        points = centre[middle][:, None] + (h * corners[:, pair])[turn]
+        margin = np.minimum(margin, depth.sample(points).min(axis=1).astype(np.float64) - wall)
+        ok = np.flatnonzero(margin >= -slack)
+        middle, turn, margin = middle[ok], turn[ok], margin[ok]
+    kept = spread(centre[middle], margin, KEPT)
+    found = Places(half, centre[middle[kept]], turns[turn[kept]], margin[kept])
     margin = least_depth(depth, half, found.centre, found.turn, SURFACE) - wall
     found = Places(half, found.centre, found.turn, margin).only(margin >= -slack)
     return found.only(np.argsort(-found.margin, kind="stable"))
 
 
-def spread(found: Places, count: int) -> Places:
-    """At most `count` places, the best of every cell before the second best of any."""
-    if len(found) <= count:
-        return found
-    cell = np.floor(found.centre / CELL).astype(int) @ np.array([1 << 40, 1 << 20, 1])
-    order = np.lexsort((-found.margin, cell))
-    first = np.searchsorted(cell[order], cell[order])  # where the own cell begins
-    rank = np.zeros(len(order), int)
-    rank[order] = np.arange(len(order)) - first
-    return found.only(np.lexsort((-found.margin, rank))[:count])
+def spread(centre: Array, room: NDArray[np.floating], count: int) -> NDArray[np.int64]:
+    """Which at most `count` of some places to keep: the best of every cell before the second best of any.
+
+    Args:
+        centre: (n, 3) [m].
+        room: what is best where it is greatest, all within half a metre, (n,) [m].
+        count: most to keep.
+    """
+    n = np.arange(len(room))
+    if len(room) <= count:
+        return n
+    place = np.floor(centre / CELL)
+    size = (place := place - place.min(axis=0)).max(axis=0) + 1
+    cell = (place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]
+    order = np.argsort(cell - room, kind="stable")
+    first = np.concatenate([[True], np.diff(cell[order]) > 0])
+    rank = n - np.maximum.accumulate(np.where(first, n, 0))
+    best = np.argsort(rank - room[order], kind="stable")[:count]
+    return np.asarray(order[best], np.int64)
 
 
 def separation(half_a: Array, centre_a: Array, turn_a: Array, half_b: Array, centre_b: Array, turn_b: Array) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from mfg.box_fit import Places, box_surface, separation
 from mfg.fields import Field
@@ -64,7 +65,9 @@ def layouts_of(places: tuple[Places, ...], wall: float, least: float = -np.inf) 
         return Layout(one.half[None], one.centre[place, None], one.turn[place, None], one.margin[place], place[:, None])
     first, second = places
     margin = np.minimum(first.margin[:, None], second.margin[None])
-    a, b = np.nonzero(margin >= least)
+    # No slab between two boxes is wider than what their middles are apart less half of their least sides.
+    away = cdist(first.centre, second.centre) - (first.half.min() + second.half.min() + wall)
+    a, b = np.nonzero(np.minimum(margin, away) >= least)
     gap = separation(first.half, first.centre[a], first.turn[a], second.half, second.centre[b], second.turn[b])
     margin = np.minimum(margin[a, b], gap - wall)
     keep = np.flatnonzero(margin >= least)

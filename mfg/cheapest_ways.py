@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,47 +35,57 @@ class RootedGraph:
     """Nodes with as many steps each, and roots that lead to some of them and that no step leads to: laid out once.
 
     Attributes:
-        column: node that every step leads to, then every arc of every root, row by row.
-        row: where every row begins in `column`, of the nodes, then of the roots, and where the last one ends.
+        steps: from every node.
+        matrix: cost of every step of every node, row by row, then of every arc of every root; arcs are shut between
+            searches, and a search leaves all as it was.
         arcs: of every root, in which order its arcs lie in its row, (k,) each.
     """
 
-    column: NDArray[np.int32]
-    row: NDArray[np.int32]
+    steps: int
+    matrix: sparse.csr_matrix
     arcs: tuple[Index, ...]
 
     @staticmethod
-    def of(column: NDArray[np.int32], roots: Sequence[Index]) -> RootedGraph:
+    def of(column: NDArray[np.int32], step: Array, roots: Sequence[Index]) -> RootedGraph:
         """Lay out the graph.
 
         Args:
             column: node that every step leads to, (n, steps).
+            step: what it costs, (n, steps).
             roots: node that every arc of every root leads to, (k,) each.
         """
         arcs = tuple(np.argsort(ends, kind="stable") for ends in roots)
         leads = [ends[order].astype(np.int32) for ends, order in zip(roots, arcs, strict=True)]
         last = column.size + np.cumsum([len(ends) for ends in leads], dtype=np.int32)
         row = np.concatenate([np.arange(0, column.size + 1, column.shape[1], dtype=np.int32), last])
-        return RootedGraph(np.concatenate([column.ravel(), *leads]), row, arcs)
+        size = len(row) - 1
+        cost = np.concatenate([step.ravel(), np.full(row[-1] - step.size, np.inf)])
+        matrix = sparse.csr_matrix((cost, np.concatenate([column.ravel(), *leads]), row), (size, size))
+        return RootedGraph(column.shape[1], matrix, arcs)
 
-    def tree(
-        self, step: Array, root: int, arc: Array, limit: float = NO_LIMIT, shut: NDArray[np.bool_] | None = None
-    ) -> Tree:
+    def costing(self, step: Array) -> RootedGraph:
+        """The same graph with other costs of the steps, (n, steps)."""
+        cost = np.concatenate([step.ravel(), self.matrix.data[step.size :]])
+        matrix = sparse.csr_matrix((cost, self.matrix.indices, self.matrix.indptr), self.matrix.shape)
+        return replace(self, matrix=matrix)
+
+    def tree(self, root: int, arc: Array, limit: float = NO_LIMIT, shut: NDArray[np.bool_] | None = None) -> Tree:
         """The cheapest ways from a root, as far as a limit.
 
         Args:
-            step: cost of every step, (n, steps).
             root: which one.
             arc: cost of each of its arcs, (k,).
             limit: cost beyond which no way is followed.
             shut: nodes that no way leads on from, (n,).
         """
-        nodes, size = len(step), len(self.row) - 1
-        cost = np.full(len(self.column), np.inf)
-        cost[: step.size] = step.ravel()
-        cost[self.row[nodes + root] : self.row[nodes + root + 1]] = arc[self.arcs[root]]
-        if shut is not None:
-            cost[: step.size].reshape(step.shape)[shut] = np.inf
-        graph = sparse.csr_matrix((cost, self.column, self.row), (size, size))
-        length, before = csgraph.dijkstra(graph, indices=[nodes + root], return_predecessors=True, limit=limit)
-        return Tree(length[0, :nodes], before[0, :nodes], arc)
+        row, cost = self.matrix.indptr, self.matrix.data
+        nodes = len(row) - 1 - len(self.arcs)
+        onward = cost[: nodes * self.steps].reshape(nodes, self.steps)
+        closed = np.zeros(0, np.int64) if shut is None else np.flatnonzero(shut)
+        before, own = onward[closed], slice(row[nodes + root], row[nodes + root + 1])
+        onward[closed], cost[own] = np.inf, arc[self.arcs[root]]
+        try:
+            length, back = csgraph.dijkstra(self.matrix, indices=[nodes + root], return_predecessors=True, limit=limit)
+        finally:
+            onward[closed], cost[own] = before, np.inf
+        return Tree(length[0, :nodes], back[0, :nodes], arc)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mfg.route_field import RouteField
 from mfg.wires import resampled
@@ -36,25 +37,40 @@ def relaxed(
     middle = resampled(way[1:-1], step)[1:-1]
     points = np.concatenate([head, middle, tail])
     free = slice(len(head), len(head) + len(middle))
-    fixed = np.r_[: free.start, free.stop : len(points)]
-    bend, pull = np.diff(np.eye(len(points)), n=2, axis=0), np.diff(np.eye(len(points)), axis=0)
-    energy = bend.T @ bend + TENSION * pull.T @ pull
-    steady = energy[free][:, fixed] @ points[fixed]
     low, high = points.min(axis=0) - apart - 0.01, points.max(axis=0) + apart + 0.01
     others = others[((others >= low) & (others <= high)).all(axis=1)]
-    moving, carried, before = points[free], np.zeros((len(middle), 3)), 0.0
+    moving, carried, before = middle, np.zeros((len(middle), 3)), 0.0
+    points[free] = 0.0
+    steady = _force(points)[free]  # of the straight ends alone
     for weight, rounds in schedule:
         # What is carried over is a force over the weight of closeness.
         carried *= weight / before if before else 0.0
         before = weight
-        smooth = np.linalg.inv(np.eye(len(middle)) + weight * energy[free, free])
+        stiff = cholesky_banded(_stiffness(len(middle), weight), check_finite=False)
         for _ in range(rounds):
             target = moving + carried
             target += _pushed(target, others, field, apart)
             carried += moving - target
-            moving = smooth @ (target - carried - weight * steady)
+            moving = cho_solve_banded((stiff, False), target - carried - weight * steady, check_finite=False)
     points[free] = moving
     return points
+
+
+def _force(points: Array) -> Array:
+    """Gradient of half the squares of second differences, and of first ones by `TENSION`, but for the ends: (n, 3)."""
+    bend = np.diff(points, n=2, axis=0)
+    force = np.zeros_like(points)
+    force[2:-2] = np.diff(bend, n=2, axis=0) - TENSION * bend[1:-1]
+    return force
+
+
+def _stiffness(count: int, weight: float) -> Array:
+    """1 + `weight` times what `_force` is of so many points in a row, its upper diagonals, the main one last."""
+    rows = np.zeros((3, count))
+    rows[0, 2:] = weight
+    rows[1, 1:] = weight * (-4 - TENSION)
+    rows[2] = 1 + weight * (6 + 2 * TENSION)
+    return rows
 
 
 def _pushed(points: Array, others: Array, field: RouteField, apart: float) -> Array:

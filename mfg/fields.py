@@ -11,7 +11,7 @@ from scipy import ndimage
 OUTSIDE = np.float32(-1.0)  # depth far outside [m]
 Window = tuple[slice, slice, slice]
 MANY = 600  # points from which on array arithmetic is faster than ndimage's loop over points
-BLOCK = 8192  # points at a time, so that what is worked out in between stays in the cache
+BLOCK = 16384  # points at a time, so that what is worked out in between stays in the cache
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -215,7 +215,10 @@ def _between(low: NDArray[np.float32], high: NDArray[np.float32], share: NDArray
 
 def coverage(depth: NDArray[np.float32], width: float) -> NDArray[np.float32]:
     """Share of a cell of the given width that lies inside, from the depth at its centre."""
-    return np.clip(depth / np.float32(width) + np.float32(0.5), 0.0, 1.0)
+    share = depth * np.float32(1 / width)
+    share += np.float32(0.5)
+    np.maximum(share, np.float32(0), out=share)
+    return np.minimum(share, np.float32(1), out=share)
 
 
 def cylindrical(

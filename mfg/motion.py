@@ -47,7 +47,8 @@ class MotionSolver:
         volumes = [body.bone.volume() for body in bodies]
         for index, hinge in enumerate(blueprint.hinges):
             bones = bodies[hinge.parent].bone, bodies[hinge.body].bone
-            pair = CylindricalPair.sample(*bones, hinge, self.angle_step, self.radial_step)
+            T = motor_pose(hinge.position, hinge.axis, 0.0)
+            pair = CylindricalPair.sample(*bones, T, self.angle_step, self.radial_step)
             allowed = self.max_interference * min(volumes[hinge.parent], volumes[hinge.body])
             low, high = (float(v) for v in hinge.range)
             if pair is not None:
@@ -101,11 +102,11 @@ class Reaches:
     """How far bones reach about axes, each worked out once. A field stands for its bone: carving makes a new one.
 
     Attributes:
-        points: of every bone, its samples inside and just outside of it in the design frame [m], (n, 3).
+        points: of every bone, its samples inside and just outside of it in the design frame [m], (3, n).
         known: by bone and axis, least and greatest distance from the axis, least and greatest height along it [m].
     """
 
-    points: dict[Field, NDArray[np.float64]] = field(default_factory=dict)
+    points: dict[Field, NDArray[np.float32]] = field(default_factory=dict)
     known: dict[tuple[Field, bytes], tuple[float, float, float, float]] = field(default_factory=dict)
 
     def of(
@@ -115,10 +116,11 @@ class Reaches:
         key = bone, centre.tobytes() + frame.tobytes()
         if key not in self.known:
             if bone not in self.points:
-                near = np.argwhere(bone.values > -bone.spacing)
-                self.points[bone] = np.asarray((near + bone.corner) * bone.spacing, np.float64)
-            local = (self.points[bone] - centre) @ frame.T
-            radius, height = np.hypot(local[:, 0], local[:, 1]), local[:, 2]
+                near = np.nonzero(bone.values > -bone.spacing)
+                axes = [a.ravel()[index] for a, index in zip(bone.axes(), near, strict=True)]
+                self.points[bone] = np.stack(axes)
+            x, y, height = frame.astype(np.float32) @ (self.points[bone] - centre.astype(np.float32)[:, None])
+            radius = np.sqrt(x * x + y * y)
             self.known[key] = float(radius.min()), float(radius.max()), float(height.min()), float(height.max())
         return self.known[key]
 
@@ -136,16 +138,16 @@ class CylindricalPair:
 
     @staticmethod
     def sample(
-        parent: Field, child: Field, hinge: Hinge, angle_step: float, radial_step: float, reaches: Reaches | None = None
-    ) -> CylindricalPair | None:
-        """Sample two bones, or give None where no circle about the axis meets both.
+        parent: Field, child: Field, T_design_hinge: NDArray[np.float64], angle_step: float, radial_step: float,
+        reaches: Reaches | None = None,
+    ) -> CylindricalPair | None:  # fmt: skip
+        """Sample two bones about the z axis of a frame, or give None where no circle about the axis meets both.
 
         What is found about the reach of a bone is looked up in `reaches` and left there.
         """
-        T = motor_pose(hinge.position, hinge.axis, 0.0)
-        frame = T[:3, :3].T
+        position, frame = T_design_hinge[:3, 3], T_design_hinge[:3, :3].T
         reaches = reaches or Reaches()
-        reach = [reaches.of(bone, hinge.position, frame) for bone in (parent, child)]
+        reach = [reaches.of(bone, position, frame) for bone in (parent, child)]
         r_low, r_high = max(r[0] for r in reach), min(r[1] for r in reach)
         z_low, z_high = max(r[2] for r in reach), min(r[3] for r in reach)
         step = radial_step
@@ -155,7 +157,7 @@ class CylindricalPair:
         height = np.arange(z_low - step, z_high + step, step)
         count = round(2 * np.pi / angle_step)
         angle = np.arange(count) * (2 * np.pi / count)
-        points = about_axis(T, radius[:, None, None], angle[:, None], height)
+        points = about_axis(T_design_hinge, radius[:, None, None], angle[:, None], height)
         depths = parent.sample_at(*points), child.sample_at(*points)
         return CylindricalPair(*depths, frame, radius, height, 2 * np.pi / count)
 

@@ -10,6 +10,7 @@ import numpy as np
 from mfg.blueprint import Blueprint, Body, Hinge
 from mfg.miss import Miss
 from mfg.motion import CylindricalPair, Reaches, carve, feasible, rounded
+from mfg.mounts import motor_pose
 from mfg.outcome import Failure, Reason, Stage
 
 
@@ -51,13 +52,14 @@ class SearchMotionSolver:
             least = np.clip(hinge.range, -self.minimum, self.minimum)
             low, high = (float(v) for v in hinge.range)
             contacts = []
+            T = motor_pose(hinge.position, hinge.axis, 0.0)
             for standing, moving in itertools.product(range(len(bodies)), sorted(moved[k])):
                 if standing in moved[k]:
                     continue
                 joined = (standing, moving) == (hinge.parent, hinge.body)
                 step = self.radial_step if joined else self.far_step
                 bones = bodies[standing].bone, bodies[moving].bone
-                pair = CylindricalPair.sample(*bones, hinge, self.angle_step, step, reaches)
+                pair = CylindricalPair.sample(*bones, T, self.angle_step, step, reaches)
                 if pair is None:
                     continue
                 allowed = self.touch * min(volumes[standing], volumes[moving])

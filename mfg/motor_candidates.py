@@ -69,17 +69,19 @@ class Candidates:
         tried: list[MotorSeat] = []
         nearest: MotorSeat | None = None
         for flipped in (False, True):
-            base = motor_pose(hinge.position, -hinge.axis if flipped else hinge.axis, 0.0)
+            poses = np.tile(
+                motor_pose(hinge.position, -hinge.axis if flipped else hinge.axis, 0.0), (len(offsets), 1, 1)
+            )
+            poses[:, :3, 3] += offsets[:, None] * hinge.axis
             for holder, connector in ((hinge.parent, hinge.body), (hinge.body, hinge.parent)):
                 V_h = rings[holder].overlaps(offsets, "holder", flipped)
                 V_c = rings[connector].overlaps(offsets, "connector", flipped)
 
                 def seat(k: int, a: Array = V_h, b: Array = V_c, h: int = holder, c: int = connector,
-                         base: Array = base) -> MotorSeat:  # fmt: skip
-                    T = base.copy()
-                    T[:3, 3] += float(offsets[k]) * hinge.axis
-                    score = mount_balance(float(a[k]), float(b[k]), scan.alpha)
-                    return MotorSeat(index, h, c, float(offsets[k]), T, float(a[k]), float(b[k]), score)
+                         poses: Array = poses) -> MotorSeat:  # fmt: skip
+                    V_h, V_c = float(a[k]), float(b[k])
+                    score = mount_balance(V_h, V_c, scan.alpha)
+                    return MotorSeat(index, h, c, float(offsets[k]), poses[k], V_h, V_c, score)
 
                 worse = np.minimum(V_h, V_c)
                 # Among equals the one that at least one bone holds best, then the smaller offset.

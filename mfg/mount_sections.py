@@ -36,7 +36,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 CELL = 5.0e-3  # edge of a cell of the sampled bone, along and across [m]
-AZIMUTHS = 48  # cells around
+AZIMUTHS = 48  # cells around; a multiple of 8
 LAYERS = 8  # cans beyond the mount's own rim, `CELL` apart: what lies so far away counts as the body
 COARSE = 2  # samples of the bone to one of the lattice on which pieces are told apart
 CUTS = (0, 1, 2, 4, 7)  # layers at which a section is taken
@@ -78,15 +78,12 @@ class _Cells:
         normal: of the can there, (n, 3).
         area: that a cell cuts [m2], (n,).
         depth: of the bone [m], (n,).
-        ends: the cells at both ends of every row of the can's faces and side, (k,): where a stiff motion of it, whose
-            square is convex along a line of cells with one normal, is greatest.
     """
 
     point: Array
     normal: Array
     area: Array
     depth: NDArray[np.float32]
-    ends: Index
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -269,7 +266,7 @@ class Sections:
         normal = np.column_stack([circle * side[:, None], 1.0 - side])
         point = np.column_stack([radius[:, None] * circle, self.low + (z + 0.5) * CELL])
         area = np.asarray(CELL * (2 * np.pi / AZIMUTHS) * radius, np.float64)
-        return _Cells(point, normal, area, self.depth[z, r, around], _ends(shell.filled, shell.radius))
+        return _Cells(point, normal, area, self.depth[z, r, around])
 
     def _cut(self, cells: _Cells) -> float | None:
         """The greatest stress in one section [Pa]; None where it cannot carry a couple."""
@@ -291,7 +288,6 @@ class Sections:
         if np.linalg.eigvalsh(scaled)[0] < 1e-9 * np.trace(scaled):
             return None
         motion = np.linalg.solve(K, _couples(self.mount.motor.peak_torque))  # (6, directions)
-        point, arm = point[cells.ends], arm[cells.ends]
         # Every cell moves by the section's shift and turn; the part of it along the normal pulls, the rest shears.
         a, b, c = motion[3:]
         still = np.zeros(DIRECTIONS)
@@ -322,44 +318,33 @@ def _angles() -> Array:
     return np.asarray((np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS), np.float64)
 
 
-def _ends(filled: Mask, side: int) -> Index:
-    """Of the filled cells of a can, in their order, the first and the last of every row of each face and of the side.
-
-    Args:
-        filled: of the cells, (n, AZIMUTHS): `side` cells of one face along the meridian, the side's, then as many of
-            the other face.
-        side: as many.
-    """
-    number = np.cumsum(filled).reshape(filled.shape) - 1
-    found = []
-    for part in (slice(0, side), slice(side, len(filled) - side), slice(len(filled) - side, None)):
-        here, order = filled[part], number[part]
-        if len(here):
-            around = np.flatnonzero(here.any(axis=0))
-            found += [order[here.argmax(axis=0)[around], around],
-                      order[len(here) - 1 - here[::-1].argmax(axis=0)[around], around]]  # fmt: skip
-    return np.unique(np.concatenate(found))
-
-
 def _linked(filled: Mask, next_to: Mask) -> Mask:
     """The cells of a can that hang on marked ones, directly or over two cells of their own."""
-    found = filled & _spread(next_to)
-    for _ in range(2):
-        found = filled & _spread(found)
-    return found
+    room, found = _bits(filled), _bits(next_to)
+    for _ in range(3):
+        found = room & _spread(found, len(filled))
+    packed = np.frombuffer(found.to_bytes(filled.size // 8, "little"), np.uint8)
+    return np.unpackbits(packed, bitorder="little").reshape(filled.shape).astype(bool)
 
 
-def _spread(cells: Mask) -> Mask:
-    """Cells and their neighbours along the meridian and around."""
-    wide = cells.copy()
-    wide[:, 1:] |= cells[:, :-1]
-    wide[:, :-1] |= cells[:, 1:]
-    wide[:, 0] |= cells[:, -1]
-    wide[:, -1] |= cells[:, 0]
-    out = wide.copy()
-    out[1:] |= wide[:-1]
-    out[:-1] |= wide[1:]
-    return out
+def _bits(cells: Mask) -> int:
+    """Cells (n, AZIMUTHS) as the bits of one number, row by row: a tenth of the time that arrays so small take."""
+    return int.from_bytes(np.packbits(cells, bitorder="little").tobytes(), "little")
+
+
+def _spread(cells: int, rows: int) -> int:
+    """Cells and their neighbours along the meridian and around; some beyond the last row."""
+    first, last = _columns(rows)
+    wide = cells | (cells & ~last) << 1 | (cells & last) >> AZIMUTHS - 1
+    wide |= (cells & ~first) >> 1 | (cells & first) << AZIMUTHS - 1
+    return wide | wide << AZIMUTHS | wide >> AZIMUTHS
+
+
+@lru_cache(maxsize=64)
+def _columns(rows: int) -> tuple[int, int]:
+    """The first cells of so many rows, and the last ones."""
+    first = sum(1 << AZIMUTHS * row for row in range(rows))
+    return first, first << AZIMUTHS - 1
 
 
 def _beside(samples: Mask) -> Mask:

@@ -100,11 +100,13 @@ class RouteGraph:
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
         column, weight = self.linked()
-        self.graph = RootedGraph.of(column, [self.starts.node, *(ends.node for ends in self.ends)])
-        self.first = self.graph.tree(weight, 0, self.starts.cost)
+        graph = RootedGraph.of(column, weight, [self.starts.node, *(ends.node for ends in self.ends)])
+        self.first = graph.tree(0, self.starts.cost)
         # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
         self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
-        self.added = np.maximum(weight + self.rest.take(column) - self.rest[:, None], 1e-9)
+        weight += self.rest.take(column)
+        weight -= self.rest[:, None]
+        self.graph = graph.costing(np.maximum(weight, 1e-9, out=weight))
 
     def linked(self) -> tuple[NDArray[np.int32], Array]:
         """Every sample's 18 neighbours and what a step to each costs, (n, 18) each.
@@ -115,15 +117,18 @@ class RouteGraph:
         # The outermost samples have no label: no step leaves the array.
         stride = np.array([shape[1] * shape[2], shape[2], 1])
         other = self.index.take(self.cells[:, None] + STEPS @ stride)
-        # -1, for a sample without a label, takes what is appended.
-        weight = np.append(self.cost, np.inf).take(other, mode="wrap")
+        none = other < 0
+        other[none] = len(self.cells)  # a sample without a label takes what is appended
+        weight = np.append(self.cost, np.inf).take(other, mode="clip")
         weight += self.cost[:, None]
         weight *= np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2)
-        beyond = np.append(self.label, np.int8(-1)).take(other, mode="wrap")
-        row, step = np.divmod(np.flatnonzero((beyond != self.label[:, None]) & (other >= 0)), len(STEPS))
+        beyond = np.append(self.label, np.int8(-1)).take(other, mode="clip")
+        row, step = np.divmod(np.flatnonzero((beyond != self.label[:, None]) & ~none), len(STEPS))
         shut = ~self.field.joined[self.label[row], beyond[row, step]]
         weight[row[shut], step[shut]] = np.inf
-        return np.where(other >= 0, other, np.arange(len(other), dtype=np.int32)[:, None]), weight
+        row, step = np.divmod(np.flatnonzero(none), len(STEPS))
+        other[row, step] = row
+        return other, weight
 
     def _from_controller(self) -> Mouths:
         box, seats = self.blueprint.box("controller"), len(self.blueprint.seats)
@@ -221,7 +226,7 @@ class RouteGraph:
         if not len(cost) or not np.isfinite(cost).any():
             return None
         for detour in DETOURS:
-            tree = self.graph.tree(self.added, seat + 1, cost, float(cost.min()) + detour, taken.cells)
+            tree = self.graph.tree(seat + 1, cost, float(cost.min()) + detour, taken.cells)
             tree.length[taken.cells] = np.inf
             if np.isfinite(tree.length[self.starts.node]).any():
                 break

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from mfg.blueprint import Blueprint
 from mfg.catalogue import Catalogue, Size
-from mfg.fields import Field
+from mfg.fields import Field, about_axis
 from mfg.mounts import Mount, mount_of
 
 CABLE_ALPHA = 0.5  # weight of curvature against length: a sharp bend can be pulled through, a missing metre cannot
@@ -104,14 +104,15 @@ def oriented_extents(points: NDArray[np.float64]) -> NDArray[np.float64]:
     ring = np.sqrt(1 - z**2)
     around = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), z])
     # The hull of the extreme points in these directions stands for the hull of all.
-    extreme = points[np.unique((around @ points.T).argmax(axis=1))]
+    along = around.astype(np.float32) @ np.ascontiguousarray(points.T, np.float32)
+    extreme = points[np.unique(along.argmax(axis=1))]
     hull = ConvexHull(extreme)
     corner, normal = extreme[hull.simplices], hull.equations[:, :3]
     x = (np.roll(corner, -1, axis=1) - corner).reshape(-1, 3)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     z = np.repeat(normal, 3, axis=0)
-    spread = np.stack([x, np.cross(z, x), z], axis=1) @ extreme.T
-    extents = spread.max(axis=2) - spread.min(axis=2)
+    spread = np.stack([x, np.cross(z, x), z], axis=1).reshape(-1, 3) @ extreme.T
+    extents = (spread.max(axis=1) - spread.min(axis=1)).reshape(-1, 3)
     volume = extents.prod(axis=1)
     weight = np.exp(-(volume / volume.min() - 1) / NEAR_TIE)
     return np.asarray(weight @ np.sort(extents, axis=1) / weight.sum(), np.float64)
@@ -213,17 +214,15 @@ def _volume_in_cylinder(
     count = math.ceil((high - low) / 3.5e-3)
     height = low + (np.arange(count) + 0.5) * (high - low) / count
     angle = (np.arange(48) + 0.5) * (2 * np.pi / 48)
-    circle = np.cos(angle)[:, None] * T[:3, 0] + np.sin(angle)[:, None] * T[:3, 1]
-    flat = radius[:, None, None] * circle
-    points = T[:3, 3] + flat[:, :, None] + (height[:, None] * T[:3, 2])
+    points = about_axis(T, radius[:, None, None], angle[:, None], height)
     cell = radius * width * (2 * np.pi / 48) * (high - low) / count
     total = 0.0
-    corners = points.min(axis=(0, 1, 2)), points.max(axis=(0, 1, 2))
+    middle = T[:3, 3] + (low + high) / 2 * T[:3, 2]
+    reach = np.abs(T[:3, 2]) * (high - low) / 2 + np.sqrt(np.maximum(1 - T[:3, 2] ** 2, 0)) * outer
     for bone in bones:
         end = bone.origin + (np.array(bone.values.shape) - 1) * bone.spacing
-        if (corners[1] > bone.origin).all() and (corners[0] < end).all():
-            depth = bone.sample(points)
-            share = np.clip(depth / width[:, None, None] + 0.5, 0.0, 1.0)
+        if (middle + reach > bone.origin).all() and (middle - reach < end).all():
+            share = np.clip(bone.sample_at(*points) / width[:, None, None] + 0.5, 0.0, 1.0)
             total += float((share.sum(axis=(1, 2)) * cell).sum())
     return total
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -9,13 +10,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decoder.design import DEPTH_UNIT, Material, VoxelDesign
-from mfg.along_axes import blurred, refined
+from mfg.along_axes import blurred, halfway, refined
 from mfg.fields import Field, Window
-from mfg.voxel_distances import distances
+from mfg.voxel_distances import NOWHERE, distances
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 PAD = 3  # voxels around a voxel set in its field
+OUTER = 8  # how far outside a design's own depth tells distances apart [voxels]
 NEAR, FAR = 2.0, 4.0  # a design's own depth counts down to NEAR, distances between voxels from FAR on [voxels]
 
 
@@ -106,7 +108,9 @@ def measured_field(
     if others.any():
         nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
         cell = crop[tuple(nearest)]
-        values = opened_min(values, refined(_rounded_depth(cell, smoothing)), opening)
+        # Farther than the solid is deep, and than its own depth is told outside of it, that is far is enough.
+        far_off = max(OUTER, math.ceil(float(known.max())) + 2)
+        values = opened_min(values, refined(_rounded_depth(cell, smoothing, far_off)), opening)
     return _field(values, low, pitch, fine)
 
 
@@ -150,7 +154,7 @@ def opened_min(a: NDArray[np.float32], b: NDArray[np.float32], radius: float, st
     near = np.flatnonzero(mask[here])
     a, b = a[here], b[here]
     cosine = _cosine(a[::stride, ::stride, ::stride], b[::stride, ::stride, ::stride])
-    c = (_between_samples(cosine) if stride == 2 else cosine).take(near)
+    c = (halfway(cosine) if stride == 2 else cosine).take(near)
     u, v = r - a.ravel().take(near), r - b.ravel().take(near)
     square = (u * u + v * v - 2 * c * u * v) / np.maximum(1 - c * c, np.float32(0.05))
     opened = r - np.sqrt(np.maximum(square, 0))
@@ -165,17 +169,6 @@ def _cosine(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float3
     (p, q, r), (u, v, w) = np.gradient(a), np.gradient(b)
     length = np.sqrt((p * p + q * q + r * r) * (u * u + v * v + w * w))
     return np.asarray((p * u + q * v + r * w) / np.maximum(length, np.finfo(np.float32).tiny), np.float32)
-
-
-def _between_samples(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The values with the mean of two neighbours half-way between them, along every axis."""
-    for axis in range(3):
-        v = np.swapaxes(values, 0, axis)
-        out = np.zeros((2 * len(v) - 1, *v.shape[1:]), np.float32)
-        out[::2] = v
-        out[1::2] = np.float32(0.5) * (v[1:] + v[:-1])
-        values = np.swapaxes(out, 0, axis)
-    return values
 
 
 def _grown(window: Window, stride: int) -> Window:
@@ -237,9 +230,9 @@ def _towards(own: NDArray[np.bool_], others: NDArray[np.bool_]) -> NDArray[np.fl
     )
 
 
-def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float) -> NDArray[np.float32]:
-    """Euclidean depth of a voxel set at voxel centres [voxels], smoothed near its surface."""
-    between = distances(occupied) - distances(~occupied)
+def _rounded_depth(occupied: NDArray[np.bool_], smoothing: float, most: int = NOWHERE) -> NDArray[np.float32]:
+    """Euclidean depth of a voxel set at voxel centres, no more than `most` [voxels], smoothed near its surface."""
+    between = distances(occupied, most) - distances(~occupied, most)
     depth = (between - np.where(occupied, 0.5, -0.5)).astype(np.float32)
     rounded = blurred(depth, smoothing)
     # Only the surface needs rounding; deep inside, smoothing would flatten the ridge where clearance is measured.

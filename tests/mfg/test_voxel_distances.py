@@ -42,3 +42,11 @@ def test_one_false_voxel_in_the_far_corner_of_the_largest_grid():
 def test_refuses_what_it_has_no_answer_for(voxels):
     with pytest.raises(ValueError, match="false voxel and sides"):
         distances(voxels)
+
+
+@pytest.mark.parametrize("most", [1, 3, 8])
+def test_no_distance_beyond_the_most_is_told(most):
+    rng = np.random.default_rng(most)
+    for _ in range(20):
+        voxels = ndimage.gaussian_filter(rng.normal(size=(20, 17, 23)), 3.0) > -0.05
+        np.testing.assert_array_equal(distances(voxels, most), np.minimum(distances(voxels), most))
