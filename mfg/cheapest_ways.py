@@ -46,7 +46,7 @@ class RootedGraph:
     arcs: tuple[Index, ...]
 
     @staticmethod
-    def of(column: NDArray[np.int32], step: Array, roots: Sequence[Index]) -> RootedGraph:
+    def of(column: NDArray[np.int32], step: NDArray[np.floating], roots: Sequence[Index]) -> RootedGraph:
         """Lay out the graph.
 
         Args:
@@ -59,13 +59,13 @@ class RootedGraph:
         last = column.size + np.cumsum([len(ends) for ends in leads], dtype=np.int32)
         row = np.concatenate([np.arange(0, column.size + 1, column.shape[1], dtype=np.int32), last])
         size = len(row) - 1
-        cost = np.concatenate([step.ravel(), np.full(row[-1] - step.size, np.inf)])
+        cost = np.concatenate([step.ravel(), np.full(row[-1] - step.size, np.inf)], dtype=np.float64)
         matrix = sparse.csr_matrix((cost, np.concatenate([column.ravel(), *leads]), row), (size, size))
         return RootedGraph(column.shape[1], matrix, arcs)
 
-    def costing(self, step: Array) -> RootedGraph:
+    def costing(self, step: NDArray[np.floating]) -> RootedGraph:
         """The same graph with other costs of the steps, (n, steps)."""
-        cost = np.concatenate([step.ravel(), self.matrix.data[step.size :]])
+        cost = np.concatenate([step.ravel(), self.matrix.data[step.size :]], dtype=np.float64)
         matrix = sparse.csr_matrix((cost, self.matrix.indices, self.matrix.indptr), self.matrix.shape)
         return replace(self, matrix=matrix)
 

@@ -96,19 +96,19 @@ class RouteGraph:
         at = np.stack(np.unravel_index(self.cells, field.label.shape), axis=-1)
         self.points = (at + np.asarray(field.clearance.corner)) * field.clearance.spacing
         self.label = field.label.ravel()[self.cells]
-        self.cost = field.cost.ravel()[self.cells].astype(np.float64)
+        self.cost = field.cost.ravel()[self.cells]
         self.starts = self._from_controller()
         self.ends = [self._to_motor(k) for k in range(len(blueprint.seats))]
         column, weight = self.linked()
         graph = RootedGraph.of(column, weight, [self.starts.node, *(ends.node for ends in self.ends)])
         self.first = graph.tree(0, self.starts.cost)
         # What a step adds to the whole way over a motor, it and the cheapest rest: what a search need not follow costs.
-        self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3)
+        self.rest = np.where(np.isfinite(self.first.length), self.first.length, 1e3).astype(np.float32)
         weight += self.rest.take(column)
         weight -= self.rest[:, None]
-        self.graph = graph.costing(np.maximum(weight, 1e-9, out=weight))
+        self.graph = graph.costing(np.maximum(weight, np.float32(1e-9), out=weight))
 
-    def linked(self) -> tuple[NDArray[np.int32], Array]:
+    def linked(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """Every sample's 18 neighbours and what a step to each costs, (n, 18) each.
 
         A step to one of another label that is not joined to its own, or to none, leads back and costs infinitely much.
@@ -119,9 +119,9 @@ class RouteGraph:
         other = self.index.take(self.cells[:, None] + STEPS @ stride)
         none = other < 0
         other[none] = len(self.cells)  # a sample without a label takes what is appended
-        weight = np.append(self.cost, np.inf).take(other, mode="clip")
+        weight = np.append(self.cost, np.float32(np.inf)).take(other, mode="clip")
         weight += self.cost[:, None]
-        weight *= np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2)
+        weight *= (np.linalg.norm(STEPS, axis=1) * (self.field.clearance.spacing / 2)).astype(np.float32)
         beyond = np.append(self.label, np.int8(-1)).take(other, mode="clip")
         row, step = np.divmod(np.flatnonzero((beyond != self.label[:, None]) & ~none), len(STEPS))
         shut = ~self.field.joined[self.label[row], beyond[row, step]]
