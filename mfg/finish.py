@@ -198,8 +198,9 @@ class FinishSolver:
         # A film thinner than the tolerance would be thinned to nothing, which is no solid.
         if not (soft.values > 0).any() or volume_moments(*surface(soft)).mass < self.min_piece:
             return parts, notes
-        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice.
-        skin = (from_field(soft, self.tolerance) - bone - (room + mounts)).minus(tunnels)
+        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice, and the
+        # kernel's union of room and mounts, which have faces in common, lacks slivers of the mounts.
+        skin = (from_field(soft, self.tolerance) - bone - room - mounts).minus(tunnels)
         kept = [piece for piece in skin.components() if piece.volume >= self.min_piece]
         parts += [PrintedPart(f"{body.name}_skin_{k}", index, "soft", piece) for k, piece in enumerate(kept, start=1)]
         return parts, notes
