@@ -135,7 +135,7 @@ def _row(decoder: Decoder, settings: Row, draw: int, sliced: bool) -> Row:
         "bodies": len(finished.bodies), "parts": len(finished.parts), "objects": len(pieces(finished)),
         "lids": len(finished.lids), "mass_kg": round(sum(m.mass for m in finished.masses), 3),
         "volume_cm3": round(1e6 * sum(part.solid.volume for part in finished.parts), 1),
-        "shared_mm3": round(1e9 * shared, 4),
+        "shared_mm3": float(f"{1e9 * shared:.2g}"),
         "score_differences": {name: abs((a or 0.0) - (b or 0.0)) for name, a, b in pairs},
         "slice": report and report.to_json(), "notes": list(finished.notes),
         "problems": [*problems, *([trouble] if trouble else [])],

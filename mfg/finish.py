@@ -29,6 +29,7 @@ from mfg.motors import MotorSolver
 from mfg.mounts import MIN_OVERLAP, Mount, connector, connector_keepout, envelope, holder, holder_keepout, mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
+from mfg.retreat import RETREAT, retreated
 from mfg.scores import (
     body_install_score,
     electronics_install_score,
@@ -42,7 +43,7 @@ from mfg.solids import Solid, ball_chain, from_field, surface, union
 from mfg.splitting import SplitSolver, pieces
 from mfg.stl import MM_PER_M, torn_edges, welded
 
-TIDIER = (1e-6, 1e-5, 5e-5)  # by which edges are tidied where a part does not close otherwise [m]
+TIDIER = (1e-6, 1e-5, 5e-5)  # by which edges are tidied where a part does not close otherwise; it steps back as far [m]
 PINCH = 2e-4  # radius of the hole made where two sheets of a part only touch, below the width of a line [m]
 EDGE_BLUR = 1.5  # width of the blur that straightens the rim of a skin [samples]
 _REPAIRS = 4  # attempts
@@ -53,7 +54,8 @@ class FinishSolver:
     """Make the solids that go to the printer.
 
     The order of cuts keeps every feature whole: bone - (room for motors, boxes, other bodies' mounts) + own mounts
-    - tunnels. So no shaft eats a mount, no mount fills a cavity, and every tunnel is open at both ends.
+    - tunnels. So no shaft eats a mount, no mount fills a cavity, and every tunnel is open at both ends. At last every
+    part steps back from its surface by a quarter of a micrometre, so that rounded in a file it meets no other.
 
     Attributes:
         gap: room between a body and a mount that it does not carry [m].
@@ -62,7 +64,7 @@ class FinishSolver:
         max_loss: largest share of a bone that the hardware may cut loose.
         min_skin: least thickness of a skin [m].
         tolerance: surface error allowed when thinning triangles, half the width of a printed line [m].
-        max_touch: overlap of two bodies, or of a body and a component, that rounding may leave [m3].
+        max_touch: overlap of two components, or of a mount and a loose piece of bone, that rounding may leave [m3].
         min_overlap: tau of Eq. 2, applied to the exact volumes; less where seats are judged by strength [m3].
         alpha: of Eq. 3, as in the motor solver.
         lids: whether the openings of the electronics boxes get lids with screws, as parts of their own.
@@ -196,8 +198,9 @@ class FinishSolver:
         # A film thinner than the tolerance would be thinned to nothing, which is no solid.
         if not (soft.values > 0).any() or volume_moments(*surface(soft)).mass < self.min_piece:
             return parts, notes
-        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice.
-        skin = (from_field(soft, self.tolerance) - bone - (room + mounts)).minus(tunnels)
+        # One cutter at a time: where bone and room cross, uniting them first costs more than cutting twice, and the
+        # kernel's union of room and mounts, which have faces in common, lacks slivers of the mounts.
+        skin = (from_field(soft, self.tolerance) - bone - room - mounts).minus(tunnels)
         kept = [piece for piece in skin.components() if piece.volume >= self.min_piece]
         parts += [PrintedPart(f"{body.name}_skin_{k}", index, "soft", piece) for k, piece in enumerate(kept, start=1)]
         return parts, notes
@@ -217,12 +220,12 @@ class FinishSolver:
         return room + [box_room(box) for box in blueprint.boxes if box.body == index]
 
     def _apart(self, parts: list[PrintedPart]) -> list[PrintedPart] | Failure:
-        """Trim what two bodies still share: the soft part gives way, else the later one."""
+        """Trim what two bodies still share, however little: the soft part gives way, else the later one."""
         parts = list(parts)
         for i in range(len(parts)):
             for j in range(i + 1, len(parts)):
                 a, b = parts[i], parts[j]
-                if a.body == b.body or a.solid.overlap(b.solid) <= self.max_touch:
+                if a.body == b.body or a.solid.overlap(b.solid) <= 0:
                     continue
                 loser, keeper = (i, j) if a.material == "soft" and b.material == "rigid" else (j, i)
                 trimmed = parts[loser].solid.minus([parts[keeper].solid]).components()
@@ -233,11 +236,11 @@ class FinishSolver:
         return parts
 
     def _whole(self, part: PrintedPart) -> PrintedPart | Failure:
-        """The part as one solid that is still closed when its corners are rounded to what a file can hold."""
+        """The part as one solid that, its corners rounded to what a file can hold, is closed and meets no other."""
         for tidy in (0.0, *TIDIER):
-            solid = self._opened(part.solid.simplified(tidy) if tidy else part.solid)
+            solid = self._opened(retreated(part.solid.simplified(tidy) if tidy else part.solid, RETREAT + tidy))
             if solid is not None:
-                return part if solid is part.solid else replace(part, solid=solid)
+                return replace(part, solid=solid)
         return Failure(Stage.PRINT, Reason.NOT_WATERTIGHT, f"{part.name} does not close on the lattice of an STL file")
 
     def _opened(self, whole: Solid) -> Solid | None:

@@ -21,6 +21,9 @@ CABLE_ALPHA = 0.5  # weight of curvature against length: a sharp bend can be pul
 CABLE_LENGTH = 2.0  # 1 / lambda_L: cable of one drum-side harness, at which the length term has fallen to 1/e [m]
 BEND_MARGIN = 1.0  # 1 / lambda_kappa in units of 1 / (least bend radius of the cable)
 OVERLAP_VOLUME = 1.7e-4  # lambda of Eq. 9: the ring around one J60, all that its mount can share with a bone [m3]
+# Places from which the largest ball is looked for, and of them those that are looked at closely each time. The score of
+# 29 robots is within 0.007 of that on solids by these, within 0.06 by 60 and 4, and costs 2 ms of CPU more.
+STARTS, KEPT = 300, 6
 NEAR_TIE = 0.05  # excess volume at which an oriented box counts 1/e of the least one
 SIZE_SHARE = 0.8  # share of the printer's volume, in its tightest direction, above which a body counts as large
 
@@ -62,16 +65,17 @@ def largest_clearance(depth: Field) -> float:
     """d_max = max phi over a body's interior [m]: the radius of the largest ball that fits inside (paper Eq. 6).
 
     The field ranks the places; the radius itself is the distance to the surface phi = 0, so that a field smoothed deep
-    inside does not matter. Exact up to the curvature of the surface between lattice lines.
+    inside does not matter, as long as the place is among the first `STARTS`. Exact up to the curvature of the surface
+    between lattice lines.
     """
     surface = cKDTree(crossings(depth), compact_nodes=False, balanced_tree=False)  # built twice as fast
     deep = np.argwhere(depth.values > max(0.0, float(depth.values.max()) - 2 * depth.spacing))
-    order = np.argsort(-depth.values[tuple(deep.T)], kind="stable")[:60]
+    order = np.argsort(-depth.values[tuple(deep.T)], kind="stable")[:STARTS]
     tried = np.asarray((deep[order] + depth.corner) * depth.spacing, np.float64)
     steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
     radius = np.asarray(surface.query(tried)[0], np.float64)
     for scale in (2, 4, 8):
-        best = tried[np.argsort(-radius, kind="stable")[:4]]
+        best = tried[np.argsort(-radius, kind="stable")[:KEPT]]
         tried = (best + steps * (depth.spacing / scale)).reshape(-1, 3)
         radius = np.asarray(surface.query(tried)[0], np.float64)
     return float(radius.max())

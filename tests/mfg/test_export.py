@@ -13,11 +13,12 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from decoder.design import VoxelDesign
-from experiments.foreign_check import check
+from experiments.foreign_check import TOUCH, check, checked
 from mfg.export import blueprint_files, write_blueprint
 from mfg.manifest import NAME, changed_files
 from mfg.outcome import Failure, Reason, Stage
 from mfg.pipeline import Outcome, score
+from mfg.retreat import RETREAT, retreated
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +66,16 @@ def test_step_files_of_the_rigid_parts_are_extra_and_change_nothing_else(
 
 def test_every_file_of_a_build_passes_the_foreign_check(built: Outcome, tmp_path: Path) -> None:
     assert check(built, tmp_path / "robot") == []
+
+
+def test_a_part_that_did_not_step_back_from_what_it_touches_fails_the_check(built: Outcome, tmp_path: Path) -> None:
+    parts = built.blueprint.parts
+    # As far back out as it went in: it touches motors and skin again, and the lattice decides what they share.
+    parts = (replace(parts[0], solid=retreated(parts[0].solid, -RETREAT)), *parts[1:])
+    problems, shared = checked(replace(built, blueprint=replace(built.blueprint, parts=parts)), tmp_path / "robot")
+    assert TOUCH < shared < 1000 * TOUCH
+    assert problems
+    assert all(parts[0].name in problem and "share" in problem for problem in problems)
 
 
 def test_the_assembly_is_the_robot_in_metres_with_y_up(files: dict[str, bytes], built: Outcome) -> None:

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from decoder.latent import make_decoder, sample_latents
-from mfg import mounts
+from experiments.foreign_check import overlaps
+from mfg import finish, mounts
 from mfg.blueprint import Blueprint, BoxSeat, WireRun
 from mfg.exact import (
     attachment,
@@ -34,6 +35,7 @@ from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.parts import J60_6
 from mfg.pipeline import DEFAULT, RULES, Outcome, build, score
+from mfg.retreat import RETREAT
 from mfg.solids import Solid, ball_chain, box, from_field, union
 from mfg.stl import MM_PER_M, torn_edges, welded
 
@@ -82,19 +84,55 @@ def test_parts_are_whole_closed_and_separate(built: Outcome) -> None:
         assert a.solid.overlap(b.solid) <= TOUCH / 1000, (a.name, b.name)
 
 
-def test_all_parts_of_a_robot_share_less_than_a_cubic_millimetre_on_the_lattice_of_their_files() -> None:
-    """In memory a tenth of that at most: bone and skin have one surface between them, cut by the same triangles."""
-    seen = 0
-    for kind, seed in (("vae", 11), ("genome", 3)):
-        for design in make_decoder(kind).decode(sample_latents(3, np.random.default_rng(seed))):
-            parts = build(design, rules="search").blueprint.parts
-            files = [replace(part, solid=stored(part.solid)) for part in parts]
-            exact, rounded = (sum(a.solid.overlap(b.solid) for a, b in itertools.combinations(some, 2))
-                              for some in (parts, files))  # fmt: skip
-            assert exact < TOUCH / 10, design.key
-            assert rounded < TOUCH, design.key
-            seen += len(parts) > 3
-    assert seen >= 4
+def test_all_parts_and_hardware_of_a_robot_share_nothing_on_the_lattice_of_their_files(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A film as thick as the lattice is fine where they touch, if they did not step back from one another."""
+    made = {}
+    for depth in ("none", "as it is"):
+        if depth == "none":
+            monkeypatch.setattr(finish, "retreated", lambda solid, _: solid)
+        else:
+            monkeypatch.undo()
+        made[depth] = []
+        for kind, seed in (("vae", 11), ("genome", 3)):
+            for design in make_decoder(kind).decode(sample_latents(2, np.random.default_rng(seed))):
+                blueprint = build(design, rules="search").blueprint
+                if len(blueprint.parts) > 3:
+                    solids = {part.name: stored(part.solid) for part in blueprint.parts}
+                    made[depth].append(sum(overlaps(blueprint, solids).values()))
+    assert len(made["none"]) >= 3
+    assert min(made["none"]) > TOUCH / 20
+    assert max(made["as it is"]) < TOUCH / 1000
+
+
+def test_no_sliver_of_a_mount_is_skin_as_well() -> None:
+    """A design in which the kernel's union of the room and the mounts lacks 0.05 mm3 of a mount."""
+    (design,) = make_decoder("vae").decode(sample_latents(1, np.random.default_rng([0, 199])))
+    blueprint = build(design, rules="search").blueprint
+    mounts_of = {index: union(own_mounts(blueprint, index, MOUNT)) for index in range(len(blueprint.bodies))}
+    skins = [part for part in blueprint.parts if part.material == "soft"]
+    assert skins
+    assert max(part.solid.overlap(mounts_of[part.body]) for part in skins) < TOUCH / 1000
+
+
+def test_a_part_that_has_to_be_tidied_steps_back_by_as_much_more(
+    built: Outcome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part, solver = built.blueprint.parts[0], FinishSolver()
+    closes = FinishSolver._opened
+    tried = []
+
+    def second(self: FinishSolver, solid: Solid) -> Solid | None:
+        tried.append(solid)
+        return closes(self, solid) if len(tried) > 2 else None
+
+    monkeypatch.setattr(FinishSolver, "_opened", second)
+    made = solver._whole(part)
+    assert not isinstance(made, Failure)
+    lost = [(part.solid.volume - solid.volume) / part.solid.area for solid in tried]
+    assert_allclose(lost, RETREAT + np.array([0.0, *finish.TIDIER[:2]]), rtol=0.1)
+    assert made.solid is tried[-1]
 
 
 def stored(solid: Solid) -> Solid:
@@ -119,7 +157,7 @@ def test_every_mount_is_whole_but_for_its_cable(built: Outcome) -> None:
     for index, part in enumerate(bones):
         for own in own_mounts(blueprint, index, MOUNT):
             missing = own.volume - part.solid.overlap(own)
-            assert missing <= sum(own.overlap(t) for t in tunnels) + TOUCH
+            assert missing <= sum(own.overlap(t) for t in tunnels) + RETREAT * own.area + TOUCH
 
 
 def test_a_cable_gets_through_both_mouths_of_its_tunnel(built: Outcome) -> None:

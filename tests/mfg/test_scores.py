@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from blueprints import SPACING, ball_bone, blueprint_of, box_bone
+from blueprints import SPACING, ball_bone, blueprint_of, box_bone, sampled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
@@ -119,6 +119,15 @@ def test_a_field_that_is_too_flat_deep_inside_does_not_change_the_clearance() ->
     flat = ball.with_values(np.where(ball.values > 0, ball.values / (1 + 20 * ball.values), ball.values))
     assert flat.values.max() < 0.03
     assert scores.largest_clearance(flat) == pytest.approx(0.05, abs=1.2e-3)
+
+
+def test_the_largest_ball_is_found_behind_many_places_that_look_deeper() -> None:
+    """A slab that a ball would not fit between, and a ball whose field is smoothed to less than the slab's."""
+    slab, ball = box_bone((0.2, 0.2, 0.2), (0.1, 0.1, 0.054)), ball_bone((0.35, 0.2, 0.2), 0.032)
+    flat = ball.with_values(np.where(ball.values > 0, 0.8 * ball.values, ball.values))
+    body = sampled(lambda p: np.maximum(slab.sample(p), flat.sample(p)), (0.14, 0.14, 0.16), (0.39, 0.26, 0.24))
+    assert (body.values > 0.8 * 0.032).sum() > 60
+    assert scores.largest_clearance(body) == pytest.approx(0.032, abs=1.2e-3)
 
 
 @given(st.integers(0, 50), st.tuples(*[st.floats(0.02, 0.3)] * 3))
