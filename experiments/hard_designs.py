@@ -214,6 +214,10 @@ def main(argv: list[str] | None = None) -> int:
     except ValueError:
         say(f"{path} holds something else than rows of this program; choose another --out")
         return BAD_INPUT
+    others = sorted({str(row.get("solver")) for row in rows} - {args.solver})
+    if others:
+        say(f"{path} was made by --solver {others[0]}, now it is {args.solver}; choose another --out")
+        return BAD_INPUT
     known = {(row["kind"], row["index"]) for row in rows}
     tasks = [Task(kind, k) for kind, n in (("garbage", args.garbage), ("random", args.random)) for k in range(n)]
     left = [task for task in tasks if (task.kind, task.index) not in known]
@@ -236,7 +240,7 @@ def _tried(tasks: list[Task], rules: Rules, workers: int) -> Iterator[dict[str, 
         for task, answer, seconds in pool.run(tasks):
             if not isinstance(answer, dict):  # an exception, a crash or a hang
                 answer = {"kind": task.kind, "index": task.index, "recipe": "", "end": "lost", "why": str(answer)}
-            yield {**answer, "seconds": round(seconds, 2)}
+            yield {"solver": rules, **answer, "seconds": round(seconds, 2)}
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -123,25 +123,27 @@ def _spec(folder: Path, condition: Condition) -> MjSpec:
 
 @cache
 def _full(folder: Path) -> Description:
-    """The robot of a blueprint folder with every corner of its hulls, by whichever rules it was built.
+    """The robot of a blueprint folder with every corner of its hulls, by the rules that it was built by.
 
     Raises:
-        BadInput: if by none of them the same mass comes out.
+        BadInput: if another mass comes out by them.
     """
     from experiments.build import read_design
     from mfg.description import FULL_HULL, describe
-    from mfg.manifest import read_description
+    from mfg.manifest import read_description, read_manifest
     from mfg.pipeline import DEFAULT, RULES, build
 
     design, mass = read_design(folder / "design.npz"), read_description(folder).mass
-    for rules in dict.fromkeys((DEFAULT, *RULES)):
+    stated = read_manifest(folder).get("rules")  # older folders do not tell
+    named = [rules for rules in RULES if rules == stated]
+    for rules in named or dict.fromkeys((DEFAULT, *RULES)):
         outcome = build(design, rules=rules)
         if not outcome.ok:
             continue
         robot = describe(outcome.blueprint, hull_vertices=FULL_HULL)
         if math.isclose(robot.mass, mass, rel_tol=1e-6):
             return robot
-    raise BadInput(f"{folder} holds another robot than its design gives by any rules with the paper's parts")
+    raise BadInput(f"{folder} holds another robot than its design gives by the same rules with the paper's parts")
 
 
 def _blueprint(folder: Path) -> Path:

@@ -249,6 +249,7 @@ class Blueprint:
     masses: tuple[MassProperties, ...] = ()  # of each body with everything in it
     scores: Scores = field(default_factory=Scores)
     notes: tuple[str, ...] = ()  # what was repaired or dropped, for the report
+    rules: str | None = None  # by which it is made (`mfg.pipeline.Rules`); None where solvers are called one by one
 
     def box(self, kind: str) -> BoxSeat:
         """The seat of the battery or the controller."""

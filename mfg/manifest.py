@@ -54,6 +54,7 @@ def manifest(
         "frame": "design frame: corner of the voxel grid at the origin, z up, robot at rest; poses T_a_b map b to a",
         "pitch": blueprint.design.pitch,
         "scores": scores_json(blueprint.scores),
+        **({} if blueprint.rules is None else {"rules": blueprint.rules}),
         "notes": list(blueprint.notes),
         "catalogue": component_json(blueprint.catalogue),
         # A body that was cut has the place of its first piece here; `pieces` has them all.

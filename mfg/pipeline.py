@@ -147,9 +147,9 @@ def virtual(design: VoxelDesign, catalogue: Catalogue = PAPER) -> Outcome:
 
 def score(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = DEFAULT) -> Outcome:
     """Verdict and five scores without exact solids or files: the fast path, used as fitness."""
-    return run(scoring(rules), Blueprint(design, catalogue))
+    return run(scoring(rules), Blueprint(design, catalogue, rules=rules))
 
 
 def build(design: VoxelDesign, catalogue: Catalogue = PAPER, rules: Rules = DEFAULT) -> Outcome:
     """The whole blueprint: as `score`, then exact printable solids, masses and scores re-checked on them."""
-    return run(RULES[rules], Blueprint(design, catalogue))
+    return run(RULES[rules], Blueprint(design, catalogue, rules=rules))

@@ -11,6 +11,7 @@ import pytest
 from decoder.design import DesignError, VoxelDesign
 from experiments import hard_designs
 from experiments.hard_designs import Task, Try, main, table
+from experiments.output import BAD_INPUT
 
 
 def test_every_recipe_gives_designs_or_refusals() -> None:
@@ -52,6 +53,9 @@ def test_it_goes_on_where_it_was_cut(tmp_path: Path, capsys: pytest.CaptureFixtu
     again = [json.loads(row) for row in path.read_text().splitlines()]
     assert sorted(row["kind"] for row in again) == ["garbage", "random"]
     assert again[0] == json.loads(rows[0])  # with the seconds that it took the first time
+    capsys.readouterr()
+    assert main([*arguments[:-4], "--solver", "search", *arguments[-2:]]) == BAD_INPUT
+    assert "--solver paper, now it is search; choose another --out" in capsys.readouterr().err
 
 
 def test_the_table_counts_ends() -> None:

@@ -55,6 +55,7 @@ def test_the_robot_is_read_back_to_the_last_bit(path: Path, built: Outcome) -> N
 
 def test_the_manifest_says_what_was_built(content: bytes, built: Outcome) -> None:
     document, blueprint = json.loads(content), built.blueprint
+    assert document["rules"] == blueprint.rules == "search"
     assert document["design"] == blueprint.design.key
     assert document["scores"]["total"] == pytest.approx(blueprint.scores.total)
     assert [part["name"] for part in document["parts"]] == [part.name for part in blueprint.parts]
