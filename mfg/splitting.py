@@ -27,6 +27,7 @@ from mfg.stl import torn_edges, welded
 
 STEEPEST = np.pi / 3  # most that a tunnel may lean from the normal of a cut that it crosses [rad]
 MOST_CUTS = 48  # tried along one direction
+MOST_SEATS = 6000  # places on one cut that are looked at: 0.3 m by 0.3 m at the usual pitch
 _SPARE = 3  # cuts whose parts touch themselves, before the first of them is taken
 _FAR = 3.0  # half edge of the box that stands for half of space [m]
 
@@ -238,7 +239,9 @@ class SplitSolver:
         local = (bone.vertices - T[:3, 3]) @ T[:3, :3]
         if local[:, 2].min() > -self.peg_length or local[:, 2].max() < self.peg_length:
             return None
-        x, y = (np.arange(local[:, k].min(), local[:, k].max(), self.pitch / 2) for k in (0, 1))
+        wide = np.ptp(local[:, :2], axis=0)
+        step = max(self.pitch / 2, float(np.sqrt(wide.prod() / MOST_SEATS)))  # coarser across what is huge
+        x, y = (np.arange(local[:, k].min(), local[:, k].max(), step) for k in (0, 1))
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         across = T[:3, 3] + grid @ T[:3, :2].T
         inside = field.sample(across)
@@ -257,7 +260,7 @@ class SplitSolver:
         if len(good) < 2:
             return None
         good = good[np.argsort(-np.round(deep[good], 6), kind="stable")]
-        return _Cut(T, across[good], float((inside > 0).sum()) * (self.pitch / 2) ** 2)
+        return _Cut(T, across[good], float((inside > 0).sum()) * step**2)
 
     def _made(self, solids: tuple[Solid, list[Solid]], cut: _Cut) -> list[tuple[Solid, list[Solid]]] | None:
         """Both sides with pegs and holes as exact solids, or None if a side would be in pieces or a peg break out."""
