@@ -118,6 +118,9 @@ class SplitSolver:
         """Pieces of one body, numbered as they came to fit, and the volume of the skin that was dropped [m3]."""
         bone = next(part.solid for part in piece.parts if part.material == "rigid")
         skins = [part.solid for part in piece.parts if part.material == "soft"]
+        space = float(np.prod(blueprint.catalogue.printer.volume))
+        if bone.volume + sum(skin.volume for skin in skins) > self.most * space:
+            return self._refused(blueprint, piece, f"it has more volume than {self.most} pieces can have")
         field = with_hardware(blueprint, piece.body, mount_of(blueprint.catalogue.motor), self.room)
         whole, done = [(bone, skins)], list[tuple[Solid, list[Solid]]]()
         while whole:

@@ -184,6 +184,17 @@ def test_a_bone_too_thin_for_pegs_is_refused_with_the_reason() -> None:
     assert "\n" not in refused.detail
 
 
+def test_a_body_of_more_volume_than_its_pieces_can_have_is_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = beam(0.30, (0.17, 0.1, 0.1))
+    space = before.parts[0].solid.volume / SOLVER.most
+    monkeypatch.setattr(SplitSolver, "_halved", lambda *_: pytest.fail("looked for a cut"))
+    printer = replace(before.catalogue.printer, volume=(0.99 * space ** (1 / 3),) * 3)
+    refused = SOLVER.solve(replace(before, catalogue=replace(before.catalogue, printer=printer)))
+    assert isinstance(refused, Failure)
+    assert (refused.stage, refused.reason) == (Stage.PRINT, Reason.TOO_LARGE)
+    assert "more volume than 16 pieces can have" in refused.detail
+
+
 def test_without_the_option_a_finish_is_as_before_and_with_it_nothing_changes_for_what_fits(plain: Outcome) -> None:
     assert FinishSolver().split is False
     before = build_whole(plain.design, rules="paper")
