@@ -7,7 +7,7 @@ pegs are cut from what was the other piece, so together the pieces are the body,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,18 +15,15 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from mfg.blueprint import Blueprint, PrintedPart, Transform
-from mfg.exact import box_room
+from mfg.cut_planes import clear_of_hardware, planes
 from mfg.fields import Field
-from mfg.lids import DEPTH
-from mfg.mounts import Mount, mount_of
+from mfg.mounts import mount_of
 from mfg.outcome import Failure, Reason, Stage
 from mfg.plate import fits_printer
 from mfg.printability import with_hardware
 from mfg.solids import Solid, box, cylinder
 from mfg.stl import torn_edges, welded
 
-STEEPEST = np.pi / 3  # most that a tunnel may lean from the normal of a cut that it crosses [rad]
-MOST_CUTS = 48  # tried along one direction
 MOST_SEATS = 6000  # places on one cut that are looked at: 0.3 m by 0.3 m at the usual pitch
 _SPARE = 3  # cuts whose parts touch themselves, before the first of them is taken
 _FAR = 3.0  # half edge of the box that stands for half of space [m]
@@ -157,9 +154,9 @@ class SplitSolver:
         points = _points(solids)
         tried = crossing = bare = 0
         cuts: list[_Cut] = []
-        for T in self._planes(points):
+        for T in planes(points, self.pitch):
             tried += 1
-            if not self._clear(blueprint, body, T):
+            if not clear_of_hardware(blueprint, body, T, self.room):
                 crossing += 1
                 continue
             cut = self._section(blueprint, field, solids[0], T)
@@ -195,47 +192,6 @@ class SplitSolver:
             f"two pegs with {1e3 * self.wall:.1f} mm of bone around them, {failed} leave loose pieces; bone "
             "that is thicker away from the motors would help"
         )
-
-    def _planes(self, points: NDArray[np.float64]) -> Iterator[Transform]:
-        """Cuts across the design's axes and the principal axes, at every pitch."""
-        centred = points - points.mean(axis=0)
-        _, principal = np.linalg.eigh(centred.T @ centred)
-        for normal in (*np.eye(3), *principal.T):
-            along = points @ normal
-            count = min(int(np.ptp(along) / self.pitch), MOST_CUTS)
-            for offset in along.min() + np.ptp(along) * (np.arange(1, count) / max(count, 1)):
-                T = np.eye(4)
-                x = np.eye(3)[int(np.argmin(np.abs(normal)))]
-                x = x - (x @ normal) * normal
-                T[:3, 0] = x / np.linalg.norm(x)
-                T[:3, 1], T[:3, 2] = np.cross(normal, T[:3, 0]), normal
-                T[:3, 3] = points.mean(axis=0) + (offset - points.mean(axis=0) @ normal) * normal
-                yield T
-
-    def _clear(self, blueprint: Blueprint, body: int, T: Transform) -> bool:
-        """Whether a cut leaves all hardware of a body in one piece and crosses its tunnels steeply."""
-        mount = mount_of(blueprint.catalogue.motor)
-        for seat in blueprint.seats:
-            if body not in (seat.holder, seat.connector):
-                continue
-            low, high = _mount_span(mount, seat.T_design_motor, T)
-            if low - self.room < 0 < high + self.room:
-                return False
-        for k, placed in enumerate(blueprint.boxes):
-            if placed.body == body:
-                along = (_box_points(blueprint, k) - T[:3, 3]) @ T[:3, 2]
-                if along.min() - self.room < 0 < along.max() + self.room:
-                    return False
-        for wire in blueprint.wires:
-            along = (wire.path - T[:3, 3]) @ T[:3, 2]
-            step, length = np.diff(along), np.linalg.norm(np.diff(wire.path, axis=0), axis=1)
-            here = (np.abs(along[:-1]) < 2 * wire.radius) | (np.abs(along[1:]) < 2 * wire.radius)
-            here |= along[:-1] * along[1:] < 0
-            if blueprint.bodies[body].bone.sample(wire.path[:-1][here]).max(initial=-1.0) < 0:
-                continue  # it passes outside of this body's bone
-            if (np.abs(step[here]) < np.cos(STEEPEST) * length[here] - 1e-12).any():
-                return False
-        return True
 
     def _section(self, blueprint: Blueprint, field: Field, bone: Solid, T: Transform) -> _Cut | None:
         """The cut with seats for pegs on it, or None where there are not two."""
@@ -331,26 +287,6 @@ def _closed(solid: Solid) -> bool:
 
 def _points(solids: tuple[Solid, Sequence[Solid]]) -> NDArray[np.float64]:
     return np.concatenate([solids[0].vertices, *(skin.vertices for skin in solids[1])])
-
-
-def _box_points(blueprint: Blueprint, index: int) -> NDArray[np.float64]:
-    """Corners of what a box needs of its body: cavity, shaft, and the lid with its screws where it has one."""
-    placed = blueprint.boxes[index]
-    points = [box_room(placed).vertices]
-    for lid in blueprint.lids:
-        if lid.box == index:
-            points += [part.solid.vertices for part in blueprint.parts if part.name == lid.part]
-            points.append(lid.screws - DEPTH * placed.T_design_box[:3, 2])
-    return np.concatenate(points)
-
-
-def _mount_span(mount: Mount, T_design_motor: Transform, T: Transform) -> tuple[float, float]:
-    """Least and greatest height above a plane of a motor with both halves of its mount."""
-    lean = float(T[:3, 2] @ T_design_motor[:3, 2])
-    middle = float(T[:3, 2] @ (T_design_motor[:3, 3] - T[:3, 3]))
-    side = mount.envelope_radius * float(np.sqrt(max(0.0, 1.0 - lean**2)))
-    ends = middle + lean * mount.base_low, middle + lean * mount.connector_high
-    return min(ends) - side, max(ends) + side
 
 
 def _sides(hull: ConvexHull, T: Transform) -> list[NDArray[np.float64]]:
