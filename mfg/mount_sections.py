@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from mfg.fields import Field, about_axis, coverage, cylindrical
+from mfg.linked_cells import AZIMUTHS, linked
 from mfg.mounts import Mount, motor_pose
 from mfg.strength import (
     BODY_SHARE,
@@ -36,7 +37,6 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 CELL = 5.0e-3  # edge of a cell of the sampled bone, along and across [m]
-AZIMUTHS = 48  # cells around; a multiple of 8
 LAYERS = 8  # cans beyond the mount's own rim, `CELL` apart: what lies so far away counts as the body
 COARSE = 2  # samples of the bone to one of the lattice on which pieces are told apart
 CUTS = (0, 1, 2, 4, 7)  # layers at which a section is taken
@@ -207,7 +207,7 @@ class Sections:
             r = np.concatenate([np.arange(m), np.full(b - a + 1, m), np.arange(m)[::-1]])
             shell = _Shell(z, r, z.clip(a + 1, b - 1), np.minimum(r, m - 1), m, room[z, r])
             if shells:
-                shell = replace(shell, filled=_linked(shell.filled, marks[shell.z_inner, shell.r_inner]))
+                shell = replace(shell, filled=linked(shell.filled, marks[shell.z_inner, shell.r_inner]))
             if not shell.filled.any():
                 return None
             marks[z, r] = shell.filled
@@ -223,7 +223,7 @@ class Sections:
         for k in range(len(shells) - 1, 0, -1):
             shell, inner = shells[k], shells[k - 1]
             np.logical_or.at(marks, (shell.z_inner, shell.r_inner), shell.filled)
-            shells[k - 1] = replace(inner, filled=_linked(inner.filled, marks[inner.z, inner.r]))
+            shells[k - 1] = replace(inner, filled=linked(inner.filled, marks[inner.z, inner.r]))
         return shells
 
     def _body(self, shell: _Shell) -> Mask:
@@ -316,35 +316,6 @@ def _circle() -> Array:
 
 def _angles() -> Array:
     return np.asarray((np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS), np.float64)
-
-
-def _linked(filled: Mask, next_to: Mask) -> Mask:
-    """The cells of a can that hang on marked ones, directly or over two cells of their own."""
-    room, found = _bits(filled), _bits(next_to)
-    for _ in range(3):
-        found = room & _spread(found, len(filled))
-    packed = np.frombuffer(found.to_bytes(filled.size // 8, "little"), np.uint8)
-    return np.unpackbits(packed, bitorder="little").reshape(filled.shape).astype(bool)
-
-
-def _bits(cells: Mask) -> int:
-    """Cells (n, AZIMUTHS) as the bits of one number, row by row: a tenth of the time that arrays so small take."""
-    return int.from_bytes(np.packbits(cells, bitorder="little").tobytes(), "little")
-
-
-def _spread(cells: int, rows: int) -> int:
-    """Cells and their neighbours along the meridian and around; some beyond the last row."""
-    first, last = _columns(rows)
-    wide = cells | (cells & ~last) << 1 | (cells & last) >> AZIMUTHS - 1
-    wide |= (cells & ~first) >> 1 | (cells & first) << AZIMUTHS - 1
-    return wide | wide << AZIMUTHS | wide >> AZIMUTHS
-
-
-@lru_cache(maxsize=64)
-def _columns(rows: int) -> tuple[int, int]:
-    """The first cells of so many rows, and the last ones."""
-    first = sum(1 << AZIMUTHS * row for row in range(rows))
-    return first, first << AZIMUTHS - 1
 
 
 def _beside(samples: Mask) -> Mask:
