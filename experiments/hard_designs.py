@@ -216,7 +216,8 @@ def main(argv: list[str] | None = None) -> int:
         return BAD_INPUT
     others = sorted({str(row.get("solver")) for row in rows} - {args.solver})
     if others:
-        say(f"{path} was made by --solver {others[0]}, now it is {args.solver}; choose another --out")
+        earlier = f"--solver {others[0]}" if others[0] != "None" else "an unknown --solver"
+        say(f"{path} was made by {earlier}, now it is {args.solver}; choose another --out")
         return BAD_INPUT
     known = {(row["kind"], row["index"]) for row in rows}
     tasks = [Task(kind, k) for kind, n in (("garbage", args.garbage), ("random", args.random)) for k in range(n)]

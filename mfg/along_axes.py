@@ -33,8 +33,8 @@ def halfway(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def _mapped(values: NDArray[np.float32], a: Matrix, b: Matrix, c: Matrix) -> NDArray[np.float32]:
     """out[i, j, k] = a[i, l] b[j, m] c[k, n] values[l, m, n], summed.
 
-    Plane by plane: products so small are never shared out over threads, which would cost a hundred times as much on a
-    busy machine, so that the bytes do not depend on their number either.
+    Plane by plane: products so small are hardly ever shared out over threads, which would cost a hundred times as much
+    on a busy machine.
     """
     planes = b @ (values @ c.T)
     out = np.zeros((len(a), len(b), len(c)), np.float32)

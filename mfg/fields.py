@@ -11,6 +11,7 @@ from scipy import ndimage
 OUTSIDE = np.float32(-1.0)  # depth far outside [m]
 Window = tuple[slice, slice, slice]
 MANY = 600  # points from which on array arithmetic is faster than ndimage's loop over points
+EXACT = 1 << 24  # whole numbers up to this are exact in 32 bits of floating point
 BLOCK = 16384  # points at a time, so that what is worked out in between stays in the cache
 
 
@@ -82,8 +83,10 @@ class Field:
         index = [np.asarray(v, np.float32) * per - np.float32(c) for v, c in zip((x, y, z), self.corner, strict=True)]
         shape = np.broadcast_shapes(*(v.shape for v in index))
         flat = [np.array(np.broadcast_to(v, shape)).ravel() for v in index]
-        blocks = [interpolated(self.values, *(v[k : k + BLOCK] for v in flat)) for k in range(0, len(flat[0]), BLOCK)]
-        return np.concatenate(blocks).reshape(shape)
+        starts = range(0, max(len(flat[0]), 1), BLOCK)
+        return np.concatenate([interpolated(self.values, *(v[k : k + BLOCK] for v in flat)) for k in starts]).reshape(
+            shape
+        )
 
     def _index(self, points: NDArray[np.float64]) -> list[NDArray[np.float32]]:
         """Where points (n, 3) lie, in samples along every axis, (n,) each."""
@@ -189,8 +192,7 @@ def _cells(
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """For points at index x, y, z: flat index of the first corner of the cell, and whether there is no cell.
 
-    The place in the cell is written over the index. Whole numbers up to 2^24 are exact in 32 bits of floating point,
-    and no field has so many samples.
+    The place in the cell is written over the index.
     """
     a, b, c = (n - 1 for n in values.shape)
     outside = (x < 0) | (x > a) | (y < 0) | (y > b) | (z < 0) | (z > c)
@@ -198,6 +200,9 @@ def _cells(
     x -= i
     y -= j
     z -= k
+    if values.size > EXACT:
+        first = i.astype(np.intp) * (values.shape[1] * values.shape[2])
+        return first + j.astype(np.intp) * values.shape[2] + k.astype(np.intp), outside
     i *= np.float32(values.shape[1] * values.shape[2])
     j *= np.float32(values.shape[2])
     i += j

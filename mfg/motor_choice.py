@@ -61,10 +61,10 @@ class Clearance:
             t = np.clip(s * cosine - back, -half, half)
             s = np.clip(t * cosine + ahead, -half, half)
         shortest = between + t * w - s * z
-        sine = np.sqrt(np.maximum(1 - cosine * cosine, 0.0))
         # What a direction n shows: |n z|, |n w| and |n (middle to middle)|, in the order in which they are named above.
         long, short = np.sqrt(_dot(between, between)), np.sqrt(_dot(shortest, shortest))
         normal = np.stack([z[1] * w[2] - z[2] * w[1], z[2] * w[0] - z[0] * w[2], z[0] * w[1] - z[1] * w[0]])
+        sine = np.sqrt(_dot(normal, normal))  # of 1 - cosine^2 nothing true is left where axes are nearly parallel
         on_z = np.stack([np.ones_like(cosine), cosine, np.zeros_like(cosine), ahead / np.maximum(long, 1e-12),
                          _dot(shortest, z) / np.maximum(short, 1e-12)])  # fmt: skip
         on_w = np.stack([cosine, on_z[0], on_z[2], back / np.maximum(long, 1e-12),

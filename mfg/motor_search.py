@@ -112,7 +112,10 @@ class SearchMotorSolver:
     def _thinnest(
         self, catalogue: Catalogue, most: int, joints: list[Candidates], seats: list[int]
     ) -> tuple[int, list[Candidates]]:
-        """The fewest walls, up to those that are strong enough, that make every mount so, and the joints with them."""
+        """The fewest walls, up to those that are strong enough, that make every mount so, and the joints with them.
+
+        More walls are never weaker, so a mount that was strong enough need not be looked at again.
+        """
         thinner = {walls: [joint.of_plastic(self.plastic(catalogue, walls)) for joint in joints]
                    for walls in range(catalogue.rigid.walls, most)}  # fmt: skip
         walls = catalogue.rigid.walls

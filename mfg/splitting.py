@@ -7,6 +7,7 @@ pegs are cut from what was the other piece, so together the pieces are the body,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ from mfg.solids import Solid, box, cylinder
 from mfg.stl import torn_edges, welded
 
 MOST_SEATS = 6000  # places on one cut that are looked at: 0.3 m by 0.3 m at the usual pitch
+MOST_LOOKS = 80  # of them that are held against the exact bone
 _SPARE = 3  # cuts whose parts touch themselves, before the first of them is taken
 _FAR = 3.0  # half edge of the box that stands for half of space [m]
 
@@ -115,22 +117,20 @@ class SplitSolver:
         """Pieces of one body, numbered as they came to fit, and the volume of the skin that was dropped [m3]."""
         bone = next(part.solid for part in piece.parts if part.material == "rigid")
         skins = [part.solid for part in piece.parts if part.material == "soft"]
-        space = float(np.prod(blueprint.catalogue.printer.volume))
-        if bone.volume + sum(skin.volume for skin in skins) > self.most * space:
-            return self._refused(blueprint, piece, f"it has more volume than {self.most} pieces can have")
         field = with_hardware(blueprint, piece.body, mount_of(blueprint.catalogue.motor), self.room)
-        whole, done = [(bone, skins)], list[tuple[Solid, list[Solid]]]()
+        volume = blueprint.catalogue.printer.volume
+        whole, done = [((bone, skins), _least_pieces((bone, skins), volume))], list[tuple[Solid, list[Solid]]]()
         while whole:
-            solids = whole.pop(0)
-            if fits_printer(_points(solids), blueprint.catalogue.printer.volume):
+            if len(done) + sum(least for _, least in whole) > self.most:
+                return self._refused(blueprint, piece, f"more than {self.most} pieces would be needed")
+            solids, least = whole.pop(0)
+            if least == 1:
                 done.append(solids)
                 continue
-            if len(done) + len(whole) + 2 > self.most:
-                return self._refused(blueprint, piece, f"more than {self.most} pieces would be needed")
             halves = self._halved(blueprint, piece.body, field, solids)
             if isinstance(halves, str):
                 return self._refused(blueprint, piece, halves)
-            whole += halves
+            whole += [(half, _least_pieces(half, volume)) for half in halves]
         name, lost = blueprint.bodies[piece.body].name, sum(skin.volume for skin in skins)
         made = []
         for number, (rigid, soft) in enumerate(done, start=1):
@@ -255,7 +255,9 @@ class SplitSolver:
         radius, depth = self.peg_radius + self.clearance + self.wall, self.peg_length + self.ground + self.wall
         sound: list[NDArray[np.float64]] = []
         left = cut.seats
-        while len(left) and len(sound) < 2:
+        for _ in range(MOST_LOOKS):
+            if not len(left) or len(sound) == 2:
+                break
             # The first is the deepest; the second the farthest from it.
             place = left[0] if not sound else left[int(np.argmax(np.linalg.norm(left - sound[0], axis=1)))]
             if sound and np.linalg.norm(place - sound[0]) < 2 * radius:
@@ -278,6 +280,13 @@ def pieces(blueprint: Blueprint) -> list[Piece]:
         Piece("_".join(filter(None, (blueprint.bodies[body].name, piece))), body, tuple(parts))
         for (body, piece), parts in found.items()
     ]
+
+
+def _least_pieces(solids: tuple[Solid, Sequence[Solid]], volume: tuple[float, float, float]) -> int:
+    """Pieces that a bone with its skins needs at least: 1 if it fits the printer, else as its volume says."""
+    if fits_printer(_points(solids), volume):
+        return 1
+    return max(2, math.ceil((solids[0].volume + sum(skin.volume for skin in solids[1])) / math.prod(volume)))
 
 
 def _closed(solid: Solid) -> bool:

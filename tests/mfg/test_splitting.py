@@ -192,7 +192,7 @@ def test_a_body_of_more_volume_than_its_pieces_can_have_is_refused_at_once(monke
     refused = SOLVER.solve(replace(before, catalogue=replace(before.catalogue, printer=printer)))
     assert isinstance(refused, Failure)
     assert (refused.stage, refused.reason) == (Stage.PRINT, Reason.TOO_LARGE)
-    assert "more volume than 16 pieces can have" in refused.detail
+    assert "more than 16 pieces would be needed" in refused.detail
 
 
 def test_without_the_option_a_finish_is_as_before_and_with_it_nothing_changes_for_what_fits(plain: Outcome) -> None:
