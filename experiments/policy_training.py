@@ -68,7 +68,7 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     else:
         found = best_start(config, model, workers)
         trainer = Trainer(
-            model, config.training(), found.start, others=_others(config, source), nthread=workers,
+            model, config.training(model), found.start, others=_others(config, source), nthread=workers,
             learned=found.learned,
         )  # fmt: skip
     with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
@@ -150,7 +150,7 @@ def _restored(config: Policy, model: Model, source: Path, workers: int, mark: Pa
     state = read_state(mark)
     try:
         others = _others(config, source)
-        trainer = Trainer(model, config.training(), start_of(state), others=others, nthread=workers)
+        trainer = Trainer(model, config.training(model), start_of(state), others=others, nthread=workers)
         trainer.restore(state)
     except (KeyError, ValueError) as error:
         raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None
@@ -256,7 +256,7 @@ def _conclude(
     from sim.closed_loop import roll_out_actor
     from sim.randomisation import RANDOMISED
     from sim.rollout import measure
-    from sim.training import randomised
+    from sim.verdict import randomised
     from sim.video import save_strip, save_video
 
     actor, verdict = trainer.best, trainer.best_verdict

@@ -15,7 +15,7 @@ from experiments.policy_start import best_start, candidates, gaits, told
 from sim.herd import with_latency_room
 from sim.model import load_spec
 from sim.race import Runner
-from sim.training import Verdict
+from sim.verdict import Verdict
 
 TRIPOD = Path(cli.__file__).parent / "examples" / "tripod.vox"
 CONFIG = Policy("policy", "tripod", seed=3, starts=3, race_steps=1000, copies=8)
