@@ -78,14 +78,19 @@ def test_an_action_that_is_no_number_ends_that_copy_alone(model: Any, nonsense: 
 
 
 def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    moments: list[Any] = []
-    monkeypatch.setattr("sim.environment.terms", lambda _, moment: moments.append(moment) or {"speed": np.zeros(2)})
+    seen: list[Any] = []
+
+    def terms(_: Task, moment: Any) -> dict[str, np.ndarray]:
+        seen.append((moment.velocity.copy(), moment.pace.copy()))
+        return {"speed": np.zeros(2)}
+
+    monkeypatch.setattr("sim.environment.terms", terms)
     environment = Environment(model, 2, episode=replace(TEN_SECONDS, seconds=0.4, start_speed=0.5))
     environment.reset(np.random.default_rng(0))
     environment._age[:] = environment._born[:] = 0
     for _ in range(21):
         environment.step(np.full((2, 4), 0.5))
-    velocity, pace = (np.array([getattr(moment, name) for moment in moments]) for name in ("velocity", "pace"))
+    velocity, pace = np.moveaxis(seen, 1, 0)
     share = CONTROL_PERIOD / PACE_TIME
     np.testing.assert_allclose(pace[0], share * velocity[0])
     np.testing.assert_allclose(pace[1:20], pace[:19] + share * (velocity[1:20] - pace[:19]))
