@@ -188,7 +188,8 @@ def curves(chunk: Chunk) -> dict[str, float]:
     """What TensorBoard shows of a chunk."""
     verdict = chunk.verdict
     found = {f"reward/{name}": value for name, value in chunk.curves.items()}
-    return found | {
+    kept = {} if verdict.kept is None else {"speed/kept_in_the_worst_corner": verdict.kept}
+    return found | kept | {
         "speed/exploring": chunk.exploring_speed,
         "speed/policy": verdict.speed,
         "speed/randomised": verdict.robust_speed,
@@ -201,8 +202,9 @@ def curves(chunk: Chunk) -> dict[str, float]:
 def told(chunk: Chunk) -> str:
     """A chunk in one line."""
     v = chunk.verdict
+    kept = "" if v.kept is None else f"; keeps {v.kept:.2f} in the worst corner"
     return (f"{chunk.steps:>9} steps: {chunk.exploring_speed:.2f} m/s exploring; the policy itself {v.speed:.2f} m/s, "
-            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}")  # fmt: skip
+            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}{kept}")  # fmt: skip
 
 
 def write_state(path: Path, state: dict[str, Array]) -> None:
