@@ -30,8 +30,8 @@ STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
 the robot that is built. "Forward" is not defined for a free-form body: several starts race first, open-loop gaits
 that the policy corrects and free policies along several directions. After each heat the worse ones drop out, and the
-training goes on from the winner. Faster than --pace costs reward, so that all of these robots go about as fast. The best
-policy so far is kept, judged without exploration: by the speed that is left at the worst end of every range.
+training goes on from the winner. Faster than --pace costs reward, so that all of these robots go about as fast. The
+best policy so far is kept, judged without exploration: by the speed that is left at the worst end of all ranges.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
