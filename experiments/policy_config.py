@@ -47,7 +47,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.6
+    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.7
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
     pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.26  # 3 of the 10 episodes that choose the best

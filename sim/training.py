@@ -48,7 +48,7 @@ class Training:
     task: Task = FAST
     randomisation: Randomisation | None = WIDE
     episode: Episode = TEN_SECONDS
-    last_spread: float = 0.1
+    last_spread: float = 0.15
     share: float = 0.25
 
     def __post_init__(self) -> None:
