@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 from experiments.output import DEFAULT_SOLVER, SEED_BOUND, Solvers
 
 if TYPE_CHECKING:
+    from sim.model import Model
     from sim.training import Training
 
 
@@ -27,7 +28,8 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         chunk: control periods between two evaluations and checkpoints.
         copies: robots that gather experience together.
         task: what is learned.
-        target_speed: no speed beyond it earns more [m/s].
+        pace: how fast it is to be [body lengths/s]; faster costs reward, because a policy by which all of the drawn
+            robots go at one pace keeps its speed on the real one.
         history: frames that the policy sees.
         randomise: whether episodes draw latency, gains, friction, masses, sensor errors and pushes.
         pads: share of the robots, in training and in the episodes that choose the best, that stand on sprung pads.
@@ -45,24 +47,25 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    target_speed: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.45
+    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.7
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
     pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.26  # 3 of the 10 episodes that choose the best
     terrain: Literal["flat", "rough", "potholes", "slope", "steps"] = "flat"
     film: Annotated[float, Meta(ge=0.0, le=100.0)] = 10.0
 
-    def training(self) -> Training:
-        """As the trainer wants it."""
+    def training(self, model: Model) -> Training:
+        """As the trainer of a robot wants it."""
         from dataclasses import replace
 
         from sim.environment import TEN_SECONDS
         from sim.learning import USUAL
+        from sim.model import body_length
         from sim.randomisation import WIDE
         from sim.tasks import STEADY, Goal
         from sim.training import Training
 
-        task = replace(STEADY, goal=Goal(self.task), target_speed=self.target_speed)
+        task = replace(STEADY, goal=Goal(self.task), target_speed=self.pace * body_length(model))
         return Training(
             self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
             WIDE if self.randomise else None, replace(TEN_SECONDS, history=self.history),

@@ -41,7 +41,7 @@ def best_start(config: Policy, model: Model, workers: int) -> Runner:
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
     runners = tuple(Runner(start) for start in candidates(gaits(config, model), config.starts))
-    with Pool[Runner, Runner](Heat(model, config.training(), config.race_steps), workers, HEAT_TIMEOUT) as pool:
+    with Pool[Runner, Runner](Heat(model, config.training(model), config.race_steps), workers, HEAT_TIMEOUT) as pool:
         for kept in heats(len(runners)):
             if len(runners) == 1:  # the others were lost
                 break

@@ -68,7 +68,7 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     else:
         found = best_start(config, model, workers)
         trainer = Trainer(
-            model, config.training(), found.start, others=_others(config, source), nthread=workers,
+            model, config.training(model), found.start, others=_others(config, source), nthread=workers,
             learned=found.learned,
         )  # fmt: skip
     with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
@@ -150,7 +150,7 @@ def _restored(config: Policy, model: Model, source: Path, workers: int, mark: Pa
     state = read_state(mark)
     try:
         others = _others(config, source)
-        trainer = Trainer(model, config.training(), start_of(state), others=others, nthread=workers)
+        trainer = Trainer(model, config.training(model), start_of(state), others=others, nthread=workers)
         trainer.restore(state)
     except (KeyError, ValueError) as error:
         raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None
@@ -188,21 +188,27 @@ def curves(chunk: Chunk) -> dict[str, float]:
     """What TensorBoard shows of a chunk."""
     verdict = chunk.verdict
     found = {f"reward/{name}": value for name, value in chunk.curves.items()}
-    return found | {
-        "speed/exploring": chunk.exploring_speed,
-        "speed/policy": verdict.speed,
-        "speed/randomised": verdict.robust_speed,
-        "episodes/falls": verdict.falls,
-        "episodes/lost": verdict.lost,
-        "cpu_seconds": chunk.seconds,
-    }
+    kept = {} if verdict.kept is None else {"speed/kept_in_the_worst_corner": verdict.kept}
+    return (
+        found
+        | kept
+        | {
+            "speed/exploring": chunk.exploring_speed,
+            "speed/policy": verdict.speed,
+            "speed/randomised": verdict.robust_speed,
+            "episodes/falls": verdict.falls,
+            "episodes/lost": verdict.lost,
+            "cpu_seconds": chunk.seconds,
+        }
+    )
 
 
 def told(chunk: Chunk) -> str:
     """A chunk in one line."""
     v = chunk.verdict
+    kept = "" if v.kept is None else f"; keeps {v.kept:.2f} in the worst corner"
     return (f"{chunk.steps:>9} steps: {chunk.exploring_speed:.2f} m/s exploring; the policy itself {v.speed:.2f} m/s, "
-            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}")  # fmt: skip
+            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}{kept}")  # fmt: skip
 
 
 def write_state(path: Path, state: dict[str, Array]) -> None:
@@ -256,7 +262,7 @@ def _conclude(
     from sim.closed_loop import roll_out_actor
     from sim.randomisation import RANDOMISED
     from sim.rollout import measure
-    from sim.training import randomised
+    from sim.verdict import randomised
     from sim.video import save_strip, save_video
 
     actor, verdict = trainer.best, trainer.best_verdict

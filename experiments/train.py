@@ -30,8 +30,8 @@ STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
 the robot that is built. "Forward" is not defined for a free-form body: several starts race first, open-loop gaits
 that the policy corrects and free policies along several directions. After each heat the worse ones drop out, and the
-training goes on from the winner. The best policy so far, judged without exploration in fixed randomised episodes, is
-kept.
+training goes on from the winner. Faster than --pace costs reward, so that all of these robots go about as fast. The
+best policy so far is kept, judged without exploration: by the speed that is left at the worst end of all ranges.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
@@ -52,7 +52,7 @@ exit status: 0 trained, 1 the design cannot be built or its physics explodes, 2 
 to the last chunk is saved, and the command that goes on is printed.
 """
 
-FLAGS = ("solver", "steps", "starts", "seed", "task", "target_speed", "history", "pads", "terrain", "film")
+FLAGS = ("solver", "steps", "starts", "seed", "task", "pace", "history", "pads", "terrain", "film")
 TASKS = ("speed", "command", "stand", "recover")
 TERRAINS = ("flat", "rough", "potholes", "slope", "steps")
 
@@ -68,7 +68,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=int, help="how many starts race: corrected gaits, free headings (6)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
-    parser.add_argument("--target-speed", type=float, metavar="V", help="no speed beyond it earns more (0.45 m/s)")
+    parser.add_argument("--pace", type=float, metavar="V", help="how fast it is to be (0.7 body lengths a second)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
     parser.add_argument("--pads", type=float, metavar="SHARE", help="of the robots on sprung pads (0.26)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")

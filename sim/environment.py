@@ -24,6 +24,7 @@ MARGIN = 0.05  # share of a joint's range that is kept free at each end: slammin
 REACH = 0.6  # farthest that an action of 1 goes from the centre [rad]
 BLEND = 0.6  # share of the way to a new target that is gone in one control period
 STEP_SHARE = 0.9  # of what a motor can turn in a period: the robot's guard stops at 1
+PACE_TIME = 0.5  # over which a robot's pace is averaged, by a first-order lag [s]
 MOST_EXPLOSIONS = 16  # states that are kept for a look
 
 
@@ -150,6 +151,7 @@ class Environment:
         self._senses = Senses(self.herd, self.layout, nominal(self.count, self.model.nu))
         self._age, self._born = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.int64)
         self._yaw = np.zeros(self.count)
+        self._pace = np.zeros((self.count, 2))
         self._return = np.zeros(self.count)
         self._said = np.zeros((self.count, self.model.nu))
         self._commands = np.zeros((self.count, 3))
@@ -221,12 +223,13 @@ class Environment:
         moved = (herd.qpos[:, :2] - before[:, :2]) / herd.period
         c, s = np.cos(yaw), np.sin(yaw)
         velocity = np.stack([c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0]], axis=1)
+        self._pace = self._pace + herd.period / PACE_TIME * (velocity - self._pace)
         torque, speed = herd.torques, herd.velocities
         turn = (yaw - self._yaw + np.pi) % (2 * np.pi) - np.pi
         self._yaw = yaw
         return Moment(
-            velocity, turn / herd.period, up, speed, said, self._said, torque / herd.drive.continuous_torque,
-            (torque * speed).sum(axis=1) / self._weight, self._commands,
+            velocity, self._pace, turn / herd.period, up, speed, said, self._said,
+            torque / herd.drive.continuous_torque, (torque * speed).sum(axis=1) / self._weight, self._commands,
         )  # fmt: skip
 
     def _note(self, gone: NDArray[np.bool_], state: Array | None, control: Array) -> None:
@@ -262,4 +265,4 @@ class Environment:
         self._senses.begin(herd, ids)
         self._yaw[ids] = turned(self._standing, herd.qpos[ids, 3:7])[1]
         self._age[ids] = self._born[ids] = 0
-        self._return[ids], self._said[ids] = 0.0, 0.0
+        self._return[ids], self._said[ids], self._pace[ids] = 0.0, 0.0, 0.0

@@ -12,7 +12,8 @@ from sim.actor import Gait
 from sim.learning import Learner, Unlearnable
 from sim.model import Model
 from sim.tasks import SCALE
-from sim.training import Start, Training, Verdict, environment_of, evaluate, first_spread
+from sim.training import Start, Training, environment_of, first_spread
+from sim.verdict import Verdict, evaluate
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ class Heat:
                 curves, _ = learner.learn(third, rng, rate, spread)
             except Unlearnable:
                 return Runner(runner.start, runner.heats + 1)
-        verdict = evaluate(self.model, learner.exported(), training) if self.judged else None
+        verdict = evaluate(self.model, learner.exported(), training, cornered=False) if self.judged else None
         return Runner(runner.start, runner.heats + 1, curves["speed"] / SCALE / 2.0, verdict, learner.state())
 
 

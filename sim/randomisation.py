@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -159,6 +160,37 @@ def draw(ranges: Randomisation, rng: np.random.Generator, count: int, num_joints
         push_speed=ranges.push_speed if ranges.push_speed > 0 else None, push_every=ranges.push_every,
         noise=ranges.noise,
     )  # fmt: skip
+
+
+def corners(ranges: Randomisation) -> tuple[Randomisation, ...]:
+    """The robot as it is, then with one thing at a time at an end of its range; both gains are one thing.
+
+    Less latency and more voltage than the model has would make the robot better, so those ends are left out.
+    """
+
+    def at(end: int, *names: str) -> Randomisation:
+        changes: dict[str, Any] = {name: (getattr(ranges, name)[end],) * 2 for name in names}
+        return replace(EXACT, **changes)
+
+    both = (("stiffness", "damping"), ("friction",), ("contact_time",), ("mass",))
+    return (EXACT, at(1, "latency"), at(0, "voltage"), *(at(end, *names) for names in both for end in (0, 1)))
+
+
+def joined(parts: Sequence[Draws]) -> Draws:
+    """The rows of several draws, all with or all without each of their arrays; noise and pushes are those of the first.
+
+    Raises:
+        ValueError: if one has an array that another lacks.
+    """
+    found: dict[str, Any] = {}
+    for name in (field.name for field in fields(parts[0])):
+        rows = [getattr(part, name) for part in parts]
+        arrays = [row for row in rows if isinstance(row, np.ndarray)]
+        if arrays and len(arrays) < len(rows):
+            raise ValueError(f"only some of the draws have {name}")
+        if arrays:
+            found[name] = np.concatenate(arrays)
+    return replace(parts[0], **found)
 
 
 def apply(herd: Herd, ids: NDArray[np.intp], draws: Draws) -> None:

@@ -8,22 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.actor import Actor, Gait, Perceptron
-from sim.closed_loop import roll_out_actor
+from sim.actor import Gait, Perceptron
 from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
 from sim.learning import USUAL, Learner, Ppo
 from sim.mixture import Mixture
 from sim.model import Model
-from sim.randomisation import WIDE, Randomisation, draw
-from sim.rollout import Behaviour, measure, settle
-from sim.tasks import FAST, SCALE, Goal, Task
+from sim.randomisation import WIDE, Randomisation
+from sim.rollout import settle
+from sim.tasks import FAST, SCALE, Task
+from sim.verdict import Verdict, evaluate, shared_out, verdict_of
 
 Array = NDArray[np.float64]
 
-LEARN, EVALUATE = 0, 1  # purposes of randomness; 2 is that of `sim.race`
+LEARN = 0  # purpose of randomness; 1 is that of `sim.verdict`, 2 that of `sim.race`
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 RHYTHM_SPREAD = 2 / 3  # of exploration about a rhythm over that of a free start
-EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and their length [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,34 +101,6 @@ def start_of(state: Mapping[str, Array]) -> Start:
         frequency, *rest = np.split(state["rhythm"], [1, *(1 + len(state["posture"]) * np.arange(1, 3))])
         rhythm = Gait(float(frequency[0]), *rest)
     return Start(float(state["heading"]), state["posture"], rhythm)
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What an evaluation found: the policy without exploration, as it is exported.
-
-    Attributes:
-        speed: on the model as it is [m/s].
-        robust_speed: mean over randomised episodes, of each the share that it was upright for [m/s].
-        falls: of the randomised episodes.
-        episodes: how many those are.
-        lost: episodes in which the physics exploded.
-        reward: of a control period in randomised episodes of the task, on average; None where the task is speed.
-    """
-
-    speed: float
-    robust_speed: float
-    falls: int
-    episodes: int
-    lost: int
-    reward: float | None = None
-
-    @property
-    def score(self) -> float:
-        """What chooses the best so far: the task's reward, or for speed the mean of both speeds, less falls [m/s]."""
-        if self.reward is not None:
-            return self.reward
-        return (self.speed + self.robust_speed) / 2 * (1.0 - self.falls / max(self.episodes, 1) / 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -218,9 +189,7 @@ class Trainer:
         if self.best is not None and self.best_verdict is not None:
             for index, (weight, bias) in enumerate(self.best.layers):
                 found[f"best/{index}/weight"], found[f"best/{index}/bias"] = weight, bias
-            v = self.best_verdict
-            reward = np.nan if v.reward is None else v.reward
-            found["verdict"] = np.array([v.speed, v.robust_speed, v.falls, v.episodes, v.lost, reward])
+            found["verdict"] = self.best_verdict.array()
         return found
 
     def restore(self, state: Mapping[str, Array]) -> None:
@@ -237,67 +206,7 @@ class Trainer:
             count = len(actor.layers)
             layers = tuple((state[f"best/{k}/weight"], state[f"best/{k}/bias"]) for k in range(count))
             self.best = replace(actor, layers=layers)
-            speed, robust, falls, episodes, lost, reward = (float(v) for v in state["verdict"])
-            known = None if np.isnan(reward) else reward
-            self.best_verdict = Verdict(speed, robust, int(falls), int(episodes), int(lost), known)
-
-
-def evaluate(
-    model: Model, actor: Perceptron, training: Training, nthread: int = 1, start: Array | None = None,
-    others: Sequence[Model] = (),
-) -> Verdict:  # fmt: skip
-    """Measure a policy without exploration: once on the model as it is, in randomised episodes, and by its task.
-
-    The draws are the same for every policy of a training, so that verdicts differ by the policy alone.
-    """
-    start = settle(model) if start is None else start
-    plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
-    behaviours: list[Behaviour | None] = []
-    counts = shared_out(EPISODES, training.share, len(others))
-    for robot, count, at in zip((model, *others), counts, (start, *[None] * len(others)), strict=True):
-        behaviours += randomised(robot, actor, training.randomisation or WIDE, training.seed, episodes=count,
-                                 seconds=EVALUATION_SECONDS, start=at, nthread=nthread)  # fmt: skip
-    alive = [b for b in behaviours if b is not None]
-    return Verdict(
-        speed=0.0 if plain is None else plain.speed * plain.upright,
-        robust_speed=float(sum(b.speed * b.upright for b in alive)) / len(behaviours),
-        falls=sum(b.fell for b in alive), episodes=len(behaviours), lost=len(behaviours) - len(alive),
-        reward=None if training.task.goal is Goal.SPEED else mean_reward(model, actor, training, nthread),
-    )  # fmt: skip
-
-
-def shared_out(count: int, share: float, others: int) -> list[int]:
-    """How many of `count` robots are the model as it is, and how many each of its other models, at least one."""
-    few = max(1, round(share * count / others)) if others else 0
-    return [count - others * few, *[few] * others]
-
-
-def mean_reward(model: Model, actor: Perceptron, training: Training, nthread: int = 1) -> float:
-    """The reward of a control period under a policy without exploration, over randomised episodes of its task."""
-    episode = replace(training.episode, seconds=EVALUATION_SECONDS, history=actor.history)
-    environment = Environment(
-        model, EPISODES, training.task, actor.actions, training.randomisation or WIDE, episode, actor.rhythm,
-        nthread,
-    )  # fmt: skip
-    observation = environment.reset(np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(EVALUATE,))))
-    total = 0.0
-    for _ in range(environment.length):
-        step = environment.step(actor.say(observation))
-        observation, total = step.observation, total + float(step.reward.mean())
-    return total / environment.length
-
-
-def randomised(
-    model: Model, actor: Actor, ranges: Randomisation, seed: int, *, episodes: int = EPISODES,
-    seconds: float = EVALUATION_SECONDS, start: Array | None = None, nthread: int = 1,
-) -> list[Behaviour | None]:  # fmt: skip
-    """How a policy does in episodes that draw their robot, noise and pushes; None where the physics exploded."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EVALUATE,)))
-    draws = draw(ranges, rng, episodes, model.nu, model.nbody - 1)
-    rollouts = roll_out_actor(
-        model, actor, seconds, copies=episodes, draws=draws, rng=rng, start=start, nthread=nthread
-    )  # fmt: skip
-    return measure(model, rollouts)
+            self.best_verdict = verdict_of(state["verdict"])
 
 
 def environment_of(

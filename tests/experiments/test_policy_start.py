@@ -13,9 +13,9 @@ from experiments import cli
 from experiments.policy_config import Policy
 from experiments.policy_start import best_start, candidates, gaits, told
 from sim.herd import with_latency_room
-from sim.model import load_spec
+from sim.model import body_length, load_spec
 from sim.race import Runner
-from sim.training import Verdict
+from sim.verdict import Verdict
 
 TRIPOD = Path(cli.__file__).parent / "examples" / "tripod.vox"
 CONFIG = Policy("policy", "tripod", seed=3, starts=3, race_steps=1000, copies=8)
@@ -68,6 +68,14 @@ def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
     assert standing.start.rhythm is None
     assert not alone.learned
     assert not standing.learned
+
+
+def test_a_pace_is_one_of_the_robot_s_own_lengths(model: Any) -> None:
+    from msgspec.structs import replace as changed
+
+    task = changed(CONFIG, pace=0.5).training(model).task
+    assert task.target_speed == pytest.approx(0.5 * body_length(model))
+    assert task.haste > 0.0
 
 
 def test_a_runner_is_told_in_one_line(found: Any) -> None:

@@ -149,8 +149,8 @@ def test_ctrl_c_saves_and_says_how_to_go_on(config: Path, tmp_path: Path) -> Non
     ("words", "message"),
     [
         (("--steps", "0"), "steps = 0"),
-        (("--target-speed", "nan"), "target_speed"),
-        (("--target-speed", "-1"), "target_speed = -1.0"),
+        (("--pace", "nan"), "pace"),
+        (("--pace", "-1"), "pace = -1.0"),
         (("--starts", "0"), "starts = 0"),
         (("--task", "fly"), "invalid choice: 'fly'"),
         (("--pads", "1"), "pads = 1.0"),

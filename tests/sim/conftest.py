@@ -57,5 +57,5 @@ def pendulum() -> Description:
 def short_evaluation() -> Iterator[None]:
     """Ten seconds of ten robots after every chunk or heat would be all that tests of training do."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sim.training.EVALUATION_SECONDS", 0.2)
+        patch.setattr("sim.verdict.EVALUATION_SECONDS", 0.2)
         yield

@@ -10,7 +10,7 @@ import pytest
 
 from mfg.description import Description
 from sim.actor import Gait, smooth_step
-from sim.environment import MOST_EXPLOSIONS, TEN_SECONDS, Environment, action_map
+from sim.environment import MOST_EXPLOSIONS, PACE_TIME, TEN_SECONDS, Environment, action_map
 from sim.herd import with_latency_room
 from sim.model import make_spec
 from sim.randomisation import RANDOMISED
@@ -75,6 +75,27 @@ def test_an_action_that_is_no_number_ends_that_copy_alone(model: Any, nonsense: 
     assert np.isfinite(bad.observation).all()
     np.testing.assert_array_equal(bad.observation[[0, 2]], good.observation[[0, 2]])
     np.testing.assert_array_equal(bad.reward[[0, 2]], good.reward[[0, 2]])
+
+
+def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def terms(_: Task, moment: Any) -> dict[str, np.ndarray]:
+        seen.append((moment.velocity.copy(), moment.pace.copy()))
+        return {"speed": np.zeros(2)}
+
+    monkeypatch.setattr("sim.environment.terms", terms)
+    environment = Environment(model, 2, episode=replace(TEN_SECONDS, seconds=0.4, start_speed=0.5))
+    environment.reset(np.random.default_rng(0))
+    environment._age[:] = environment._born[:] = 0
+    for _ in range(21):
+        environment.step(np.full((2, 4), 0.5))
+    velocity, pace = np.moveaxis(seen, 1, 0)
+    share = CONTROL_PERIOD / PACE_TIME
+    np.testing.assert_allclose(pace[0], share * velocity[0])
+    np.testing.assert_allclose(pace[1:20], pace[:19] + share * (velocity[1:20] - pace[:19]))
+    np.testing.assert_allclose(pace[20], share * velocity[20])  # of a new episode
+    assert np.abs(pace).max() > 0.0
 
 
 def test_physics_that_explodes_is_counted_and_kept_and_the_rest_goes_on(model: Any) -> None:

@@ -15,7 +15,8 @@ from mfg.description import Description
 from sim.herd import with_latency_room
 from sim.model import make_spec
 from sim.race import Heat, Runner, ahead, headings, heats, speed, starts
-from sim.training import Trainer, Verdict
+from sim.training import Trainer
+from sim.verdict import Verdict
 
 pytestmark = pytest.mark.usefixtures("short_evaluation")
 

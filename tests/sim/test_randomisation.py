@@ -15,7 +15,19 @@ from numpy.testing import assert_allclose
 from mfg.description import Description
 from sim.herd import Herd, with_latency_room
 from sim.model import DAMPING, FLOOR, STIFFNESS, VOLTAGE, Model, compile_model, make_spec
-from sim.randomisation import EXACT, RANDOMISED, Draws, Randomisation, apply, draw, nominal, push, pushed
+from sim.randomisation import (
+    EXACT,
+    RANDOMISED,
+    Draws,
+    Randomisation,
+    apply,
+    corners,
+    draw,
+    joined,
+    nominal,
+    push,
+    pushed,
+)
 from sim.rollout import settle
 from sim.skin import Fidelity
 
@@ -220,3 +232,25 @@ def test_pushes_come_as_often_as_stated() -> None:
 def test_ranges_that_are_none_are_refused_by_name(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Randomisation(**changes)
+
+
+def test_every_corner_is_the_robot_as_it_is_but_for_one_end_of_a_range() -> None:
+    first, *others = corners(RANDOMISED)
+    assert first == EXACT
+    ends = set()
+    for corner in others:
+        changed = [field.name for field in fields(EXACT) if getattr(corner, field.name) != getattr(EXACT, field.name)]
+        assert len(changed) == 1 or changed == ["stiffness", "damping"]
+        for name in changed:
+            low, high = getattr(corner, name)
+            assert low == high
+            ends.add((name, getattr(RANDOMISED, name).index(low)))
+    assert ends == {(name, end) for name in FACTORS for end in (0, 1)} - {("voltage", 1)} | {("latency", 1)}
+
+
+def test_draws_are_joined_row_by_row() -> None:
+    one, two = drawn(count=3), drawn(seed=1, count=2)
+    for name, value in arrays(joined([one, two])).items():
+        assert_allclose(value, np.concatenate([arrays(one)[name], arrays(two)[name]]))
+    with pytest.raises(ValueError, match="only some of the draws have latency"):
+        joined([nominal(2, 4), one])

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.tasks import FAST, SCALE, Goal, Moment, Task, along, terms
+from sim.tasks import BURST, FAST, SCALE, Goal, Moment, Task, along, terms
 
-WEIGHTS = ("lateral", "turning", "tilting", "action_rate", "torque", "power")
+WEIGHTS = ("haste", "lateral", "turning", "tilting", "action_rate", "torque", "power")
 
 
 def moment(k: int = 3, seed: int = 0, **changes: Any) -> Moment:
     rng = np.random.default_rng(seed)
     plain = Moment(
-        velocity=rng.normal(size=(k, 2)) * 0.3, yaw_rate=rng.normal(size=k), up=rng.uniform(0.6, 1.0, k),
+        velocity=rng.normal(size=(k, 2)) * 0.3, pace=rng.normal(size=(k, 2)) + FAST.target_speed,
+        yaw_rate=rng.normal(size=k), up=rng.uniform(0.6, 1.0, k),
         joint_speed=rng.normal(size=(k, 2)), said=rng.uniform(-1, 1, (k, 2)), said_before=rng.uniform(-1, 1, (k, 2)),
         load=rng.normal(size=(k, 2)), power=rng.uniform(0.1, 1, k), command=rng.normal(size=(k, 3)) * 0.2,
     )  # fmt: skip
@@ -34,17 +35,24 @@ def test_a_heading_turns_what_is_forward() -> None:
 
 def test_speed_earns_up_to_the_target_and_no_more() -> None:
     speeds = np.linspace(-0.5, 1.5, 41)
-    still = {"velocity": np.stack([speeds, 0 * speeds], axis=1)}
-    earned = terms(FAST, moment(41, **still))["speed"]
+    steady = moment(41, velocity=(velocity := np.stack([speeds, 0 * speeds], axis=1)), pace=velocity)
+    earned = terms(FAST, steady)["speed"]
     assert (np.diff(earned[speeds <= FAST.target_speed]) > 0).all()
-    assert np.ptp(earned[speeds >= FAST.target_speed]) == 0
+    assert (np.diff(earned[speeds >= FAST.target_speed]) < 1e-12).all()
     assert earned.max() == pytest.approx(2 * SCALE * FAST.target_speed)
+    # A moment may be faster, because no stride is even, but leaps earn no more.
+    leaping = terms(FAST, replace(steady, pace=0 * velocity))["speed"]
+    assert leaping.max() == pytest.approx(BURST * earned.max())
+    hasty = terms(replace(FAST, haste=2.0), steady)
+    assert (np.diff((hasty["speed"] + hasty["haste"])[speeds >= FAST.target_speed]) < 0).all()
+    assert (hasty["haste"][speeds <= FAST.target_speed] == 0).all()
 
 
 @pytest.mark.parametrize("weight", WEIGHTS)
 def test_each_weight_acts_on_its_own_part_and_only_costs(weight: str) -> None:
-    before = terms(FAST, moment())
-    after = terms(replace(FAST, **{weight: 2 * getattr(FAST, weight)}), moment())
+    task = replace(FAST, haste=1.0)
+    before = terms(task, moment())
+    after = terms(replace(task, **{weight: 2 * getattr(task, weight)}), moment())
     for name in before:
         np.testing.assert_allclose(after[name], before[name] * (2 if name == weight else 1))
     assert (before[weight] <= 0).all()

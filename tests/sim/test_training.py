@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -17,16 +16,8 @@ from sim.herd import with_latency_room
 from sim.learning import Unlearnable, Vector
 from sim.model import make_spec
 from sim.skin import Fidelity
-from sim.tasks import Goal, Task
-from sim.training import (
-    Start,
-    Trainer,
-    Verdict,
-    evaluate,
-    mean_reward,
-    shared_out,
-    start_of,
-)  # fmt: skip
+from sim.training import Start, Trainer, start_of
+from sim.verdict import Verdict
 
 pytestmark = pytest.mark.usefixtures("short_evaluation")
 
@@ -84,30 +75,6 @@ def test_a_share_of_the_experience_is_on_other_models(model: Any, sprung: Any, w
     assert bytes_of(later) == bytes_of(trainer)
 
 
-def test_every_model_has_its_share() -> None:
-    assert shared_out(64, 0.25, 0) == [64]
-    assert shared_out(64, 0.25, 1) == [48, 16]
-    assert shared_out(10, 0.4, 2) == [6, 2, 2]
-    assert shared_out(4, 0.0, 1) == [3, 1]
-    for share, n, others in itertools.product((0.0, 0.25, 0.9), range(10, 70), range(3)):
-        counts = shared_out(n, share, others)
-        assert sum(counts) == n
-        assert min(counts) > 0
-
-
-def test_an_evaluation_has_episodes_on_other_models(model: Any, sprung: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Any, int]] = []
-
-    def randomised(robot: Any, *_: Any, episodes: int, **__: Any) -> list[None]:
-        asked.append((robot, episodes))
-        return [None] * episodes
-
-    monkeypatch.setattr("sim.training.randomised", randomised)
-    verdict = evaluate(model, Trainer(model, SMALL, FREE).actor(), SMALL, others=(sprung,))
-    assert asked == [(model, 8), (sprung, 2)]
-    assert verdict.lost == verdict.episodes == 10
-
-
 def test_the_exported_policy_says_what_the_learner_means(whole: Trainer) -> None:
     actor, policy = whole.actor(), whole.learner.ppo.policy
     seen = np.random.default_rng(0).normal(size=(50, actor.layout.size))
@@ -141,14 +108,21 @@ def test_the_best_so_far_has_the_best_verdict(model: Any, monkeypatch: pytest.Mo
         assert not np.array_equal(best, last)
 
 
-def test_other_tasks_are_judged_by_their_reward(model: Any) -> None:
-    still, running = Trainer(model, SMALL, FREE).actor(), Trainer(model, SMALL, CORRECTED).actor()
-    stand = replace(SMALL, task=Task(Goal.STAND))
-    assert evaluate(model, still, stand).score > evaluate(model, running, stand).score
-    assert evaluate(model, still, SMALL).reward is None
-    one, two = (mean_reward(model, still, replace(SMALL, task=Task(goal))) for goal in (Goal.STAND, Goal.RECOVER))
-    assert one != two
-    assert mean_reward(model, still, stand) == mean_reward(model, still, stand, nthread=2)
+def test_a_policy_that_is_fast_on_the_model_alone_is_not_kept(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by its speed, by its randomised speed, nor by what is left of it in the worst corner [m/s]."""
+    fast, sturdy = Verdict(0.80, 0.75, 0, 10, 0, 0.4, 0.55), Verdict(0.41, 0.40, 0, 10, 0, 0.4, 0.90)
+    verdicts = iter([sturdy, fast])
+    monkeypatch.setattr("sim.training.evaluate", lambda *_, **__: next(verdicts))
+    trainer = run(model, chunks=2)
+    assert trainer.best_verdict == sturdy
+    later = Trainer(model, SMALL, FREE)
+    later.restore(trainer.state())
+    assert later.best_verdict == sturdy
+
+
+def test_a_checkpoint_judged_by_another_rule_is_refused(model: Any, whole: Trainer) -> None:
+    with pytest.raises(ValueError, match="verdict has shape"):
+        Trainer(model, SMALL, FREE).restore(whole.state() | {"verdict": np.zeros(6)})
 
 
 def test_a_learner_hears_how_an_episode_ended(model: Any) -> None:

@@ -1,0 +1,170 @@
+"""How good a policy is without exploration: on the model as it is, in drawn episodes, and at the ends of ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.actor import Actor, Perceptron
+from sim.closed_loop import roll_out_actor
+from sim.environment import Environment
+from sim.model import Model
+from sim.randomisation import EXACT, WIDE, Randomisation, corners, draw, joined
+from sim.rollout import Behaviour, measure, settle
+from sim.tasks import Goal
+
+if TYPE_CHECKING:
+    from sim.training import Training
+
+Array = NDArray[np.float64]
+
+EVALUATE = 1  # purpose of randomness beside those of `sim.training` and `sim.race`
+EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and the length of all its walks [s]
+WALKS = 4  # of every corner; one walk says little about a walk that is nearly the same
+HAIR = 0.004  # by which joints read wrong, so that those differ [rad]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What an evaluation found: the policy without exploration, as it is exported.
+
+    Attributes:
+        speed: on the model as it is [m/s].
+        robust_speed: mean over randomised episodes, of each the share that it was upright for [m/s].
+        falls: of the randomised episodes.
+        episodes: how many those are.
+        lost: episodes in which the physics exploded.
+        target: no speed beyond it counts [m/s].
+        kept: share of the speed that is kept in the worst corner; None where that was not asked for.
+        reward: of a control period in randomised episodes of the task, on average; None where the task is speed.
+    """
+
+    speed: float
+    robust_speed: float
+    falls: int
+    episodes: int
+    lost: int
+    target: float = np.inf
+    kept: float | None = None
+    reward: float | None = None
+
+    @property
+    def score(self) -> float:
+        """What chooses the best so far: the task's reward, or for speed what the worst corner keeps, less falls [m/s].
+
+        It is a share of no more than the target, so that a policy which is fast on the model alone does not pass for a
+        sturdy one. Without corners it is the mean of both speeds, less falls.
+        """
+        if self.reward is not None:
+            return self.reward
+        standing = 1.0 - self.falls / max(self.episodes, 1) / 2
+        speed, robust = min(self.speed, self.target), min(self.robust_speed, self.target)
+        return standing * ((speed + robust) / 2 if self.kept is None else speed * min(self.kept, 1.0))
+
+    def array(self) -> Array:
+        """As numbers, for a checkpoint; what is None is not a number."""
+        kept, reward = (np.nan if value is None else value for value in (self.kept, self.reward))
+        return np.array(
+            [self.speed, self.robust_speed, self.falls, self.episodes, self.lost, self.target, kept, reward]
+        )
+
+
+def verdict_of(array: Array) -> Verdict:
+    """The verdict out of what `Verdict.array` gave; another number of numbers is a ValueError."""
+    if np.shape(array) != (8,):
+        raise ValueError(f"verdict has shape {np.shape(array)}, it must be (8,)")
+    speed, robust, falls, episodes, lost, target, kept, reward = (float(value) for value in array)
+    known = [None if np.isnan(value) else value for value in (kept, reward)]
+    return Verdict(speed, robust, int(falls), int(episodes), int(lost), target, *known)
+
+
+def evaluate(
+    model: Model, actor: Perceptron, training: Training, nthread: int = 1, start: Array | None = None,
+    others: Sequence[Model] = (), *, cornered: bool = True,
+) -> Verdict:  # fmt: skip
+    """Measure a policy without exploration: once on the model as it is, in randomised episodes, and by its task.
+
+    The draws are the same for every policy of a training, so that verdicts differ by the policy alone. Where `cornered`
+    and the task is speed, it walks at each end of each range, and on the other models, too.
+    """
+    start = settle(model) if start is None else start
+    plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
+    behaviours: list[Behaviour | None] = []
+    starts = (start, *(settle(other) for other in others))
+    counts = shared_out(EPISODES, training.share, len(others))
+    ranges = training.randomisation or WIDE
+    for robot, count, at in zip((model, *others), counts, starts, strict=True):
+        behaviours += randomised(robot, actor, ranges, training.seed, episodes=count, seconds=EVALUATION_SECONDS,
+                                 start=at, nthread=nthread)  # fmt: skip
+    alive = [b for b in behaviours if b is not None]
+    fast = training.task.goal is Goal.SPEED
+    kept = None
+    if fast and cornered:
+        places = (corners(ranges), *[(EXACT,)] * len(others))
+        speeds = [cornered_speeds(*each, actor, training.seed, nthread)
+                  for each in zip((model, *others), starts, places, strict=True)]  # fmt: skip
+        kept = share_kept(np.concatenate(speeds))
+    return Verdict(
+        speed=0.0 if plain is None else plain.speed * plain.upright,
+        robust_speed=float(sum(b.speed * b.upright for b in alive)) / len(behaviours),
+        falls=sum(b.fell for b in alive), episodes=len(behaviours), lost=len(behaviours) - len(alive),
+        target=training.task.target_speed, kept=kept,
+        reward=None if fast else mean_reward(model, actor, training, nthread),
+    )  # fmt: skip
+
+
+def cornered_speeds(
+    model: Model, start: Array, places: Sequence[Randomisation], actor: Actor, seed: int, nthread: int = 1
+) -> Array:
+    """Mean speed of some walks at every corner, of each the share that it was upright for [m/s], (corners,)."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EVALUATE, 1)))
+    count = len(places) * WALKS
+    draws = joined([draw(replace(p, encoder_offset=HAIR), rng, WALKS, model.nu, model.nbody - 1) for p in places])
+    rollouts = roll_out_actor(
+        model, actor, EVALUATION_SECONDS, copies=count, draws=draws, start=start, nthread=nthread
+    )  # fmt: skip
+    speeds = np.array([0.0 if b is None else b.speed * b.upright for b in measure(model, rollouts)])
+    return speeds.reshape(len(places), WALKS).mean(axis=1)
+
+
+def share_kept(speeds: Array) -> float:
+    """The least of some speeds over the first of them; 0 if that one is none."""
+    return float(speeds.min() / speeds[0]) if speeds[0] > 0.0 else 0.0
+
+
+def shared_out(count: int, share: float, others: int) -> list[int]:
+    """How many of `count` robots are the model as it is, and how many each of its other models, at least one."""
+    few = max(1, round(share * count / others)) if others else 0
+    return [count - others * few, *[few] * others]
+
+
+def mean_reward(model: Model, actor: Perceptron, training: Training, nthread: int = 1) -> float:
+    """The reward of a control period under a policy without exploration, over randomised episodes of its task."""
+    episode = replace(training.episode, seconds=EVALUATION_SECONDS, history=actor.history)
+    environment = Environment(
+        model, EPISODES, training.task, actor.actions, training.randomisation or WIDE, episode, actor.rhythm,
+        nthread,
+    )  # fmt: skip
+    observation = environment.reset(np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(EVALUATE,))))
+    total = 0.0
+    for _ in range(environment.length):
+        step = environment.step(actor.say(observation))
+        observation, total = step.observation, total + float(step.reward.mean())
+    return total / environment.length
+
+
+def randomised(
+    model: Model, actor: Actor, ranges: Randomisation, seed: int, *, episodes: int = EPISODES,
+    seconds: float = EVALUATION_SECONDS, start: Array | None = None, nthread: int = 1,
+) -> list[Behaviour | None]:  # fmt: skip
+    """How a policy does in episodes that draw their robot, noise and pushes; None where the physics exploded."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EVALUATE,)))
+    draws = draw(ranges, rng, episodes, model.nu, model.nbody - 1)
+    rollouts = roll_out_actor(
+        model, actor, seconds, copies=episodes, draws=draws, rng=rng, start=start, nthread=nthread
+    )  # fmt: skip
+    return measure(model, rollouts)

@@ -1,0 +1,133 @@
+"""Verdicts: what they measure, and that a policy which keeps its speed goes before one that is fast on one robot."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from trainings_in_brief import CORRECTED, FREE, SMALL
+
+from mfg.description import Description
+from sim.herd import with_latency_room
+from sim.model import make_spec
+from sim.randomisation import EXACT
+from sim.rollout import settle
+from sim.skin import Fidelity
+from sim.tasks import Goal, Task
+from sim.training import Trainer
+from sim.verdict import Verdict, cornered_speeds, evaluate, mean_reward, share_kept, shared_out, verdict_of
+
+pytestmark = pytest.mark.usefixtures("short_evaluation")
+PLAIN = Verdict(0.5, 0.4, 0, 10, 0, target=0.45, kept=0.8)
+
+
+@pytest.fixture(scope="module")
+def model(quadruped: Description) -> Any:
+    return with_latency_room(make_spec(quadruped))
+
+
+@pytest.fixture(scope="module")
+def sprung(quadruped: Description) -> Any:
+    links = tuple(replace(link, skin_thickness=0.02) for link in quadruped.links)
+    return with_latency_room(make_spec(replace(quadruped, links=links), fidelity=Fidelity.SPRUNG))
+
+
+@pytest.fixture(scope="module")
+def walker(model: Any) -> Any:
+    """A policy that has learned nothing, about a gait that moves the robot."""
+    return Trainer(model, SMALL, CORRECTED).actor()
+
+
+def test_what_is_kept_of_the_target_counts_and_falls_cost() -> None:
+    assert PLAIN.score == pytest.approx(0.45 * 0.8)
+    assert replace(PLAIN, speed=0.9).score == PLAIN.score
+    assert replace(PLAIN, speed=0.3).score == pytest.approx(0.3 * 0.8)
+    assert replace(PLAIN, kept=0.9).score > PLAIN.score > replace(PLAIN, falls=1).score
+    assert replace(PLAIN, kept=1.3).score == replace(PLAIN, kept=1.0).score
+    assert replace(PLAIN, kept=None).score == pytest.approx((0.45 + 0.4) / 2)
+    assert replace(PLAIN, reward=0.07).score == 0.07
+
+
+@pytest.mark.parametrize("verdict", [PLAIN, replace(PLAIN, kept=None, reward=-0.2), Verdict(0.1, 0.2, 3, 10, 1)])
+def test_a_verdict_survives_the_checkpoint(verdict: Verdict) -> None:
+    assert verdict_of(verdict.array()) == verdict
+
+
+def test_the_worst_is_compared_with_the_robot_as_it_is() -> None:
+    assert share_kept(np.array([0.4, 0.5, 0.3])) == pytest.approx(0.75)
+    assert share_kept(np.array([0.0, 0.5])) == 0.0
+
+
+def test_whoever_loses_its_speed_at_an_end_of_a_range_keeps_less(
+    model: Any, walker: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.verdict.EVALUATION_SECONDS", 2.0)
+    # A robot that the evaluation may not even tell from the model in its random episodes: only the corners find it.
+    slippery = replace(EXACT, friction=(0.01, 0.8))
+    same, lost = (evaluate(model, walker, replace(SMALL, randomisation=ranges)).kept for ranges in (EXACT, slippery))
+    assert same is not None
+    assert lost is not None
+    assert same > 0.9
+    assert lost < 0.5 * same
+    assert evaluate(model, walker, SMALL, cornered=False).kept is None
+
+
+def test_walks_at_a_corner_do_not_depend_on_the_others_nor_on_threads(model: Any, walker: Any) -> None:
+    start = settle(model)
+    icy = replace(EXACT, friction=(0.01, 0.01))
+    both = cornered_speeds(model, start, (EXACT, icy), walker, 0)
+    assert both.shape == (2,)
+    assert cornered_speeds(model, start, (EXACT,), walker, 0)[0] == pytest.approx(both[0])
+    np.testing.assert_array_equal(both, cornered_speeds(model, start, (EXACT, icy), walker, 0, nthread=2))
+
+
+def test_the_other_models_are_corners_too(
+    model: Any, sprung: Any, walker: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[Any, int]] = []
+
+    def cornered(robot: Any, _: Any, places: Any, *__: Any) -> Any:
+        asked.append((robot, len(places)))
+        return np.full(len(places), 0.4 if robot is model else 0.1)
+
+    monkeypatch.setattr("sim.verdict.cornered_speeds", cornered)
+    assert evaluate(model, walker, SMALL, others=(sprung,)).kept == pytest.approx(0.25)
+    assert [robot for robot, _ in asked] == [model, sprung]
+
+
+def test_every_model_has_its_share() -> None:
+    assert shared_out(64, 0.25, 0) == [64]
+    assert shared_out(64, 0.25, 1) == [48, 16]
+    assert shared_out(10, 0.4, 2) == [6, 2, 2]
+    assert shared_out(4, 0.0, 1) == [3, 1]
+    for share, n, others in itertools.product((0.0, 0.25, 0.9), range(10, 70), range(3)):
+        counts = shared_out(n, share, others)
+        assert sum(counts) == n
+        assert min(counts) > 0
+
+
+def test_an_evaluation_has_episodes_on_other_models(model: Any, sprung: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Any, int]] = []
+
+    def randomised(robot: Any, *_: Any, episodes: int, **__: Any) -> list[None]:
+        asked.append((robot, episodes))
+        return [None] * episodes
+
+    monkeypatch.setattr("sim.verdict.randomised", randomised)
+    verdict = evaluate(model, Trainer(model, SMALL, FREE).actor(), SMALL, others=(sprung,))
+    assert asked == [(model, 8), (sprung, 2)]
+    assert verdict.lost == verdict.episodes == 10
+
+
+def test_other_tasks_are_judged_by_their_reward(model: Any) -> None:
+    still, running = Trainer(model, SMALL, FREE).actor(), Trainer(model, SMALL, CORRECTED).actor()
+    stand = replace(SMALL, task=Task(Goal.STAND))
+    assert evaluate(model, still, stand).score > evaluate(model, running, stand).score
+    assert evaluate(model, still, stand).kept is None
+    assert evaluate(model, still, SMALL).reward is None
+    one, two = (mean_reward(model, still, replace(SMALL, task=Task(goal))) for goal in (Goal.STAND, Goal.RECOVER))
+    assert one != two
+    assert mean_reward(model, still, stand) == mean_reward(model, still, stand, nthread=2)
