@@ -106,16 +106,6 @@ def test_all_parts_and_hardware_of_a_robot_share_nothing_on_the_lattice_of_their
     assert max(made["as it is"]) < TOUCH / 1000
 
 
-def test_no_sliver_of_a_mount_is_skin_as_well() -> None:
-    """A design in which the kernel's union of the room and the mounts lacks 0.05 mm3 of a mount."""
-    (design,) = make_decoder("vae").decode(sample_latents(1, np.random.default_rng([0, 199])))
-    blueprint = build(design, rules="search").blueprint
-    mounts_of = {index: union(own_mounts(blueprint, index, MOUNT)) for index in range(len(blueprint.bodies))}
-    skins = [part for part in blueprint.parts if part.material == "soft"]
-    assert skins
-    assert max(part.solid.overlap(mounts_of[part.body]) for part in skins) < TOUCH / 1000
-
-
 def test_a_part_that_has_to_be_tidied_steps_back_by_as_much_more(
     built: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -100,6 +100,31 @@ def test_clearance_never_claims_more_than_is_true(seed: int) -> None:
             assert shared > 0.0
 
 
+@pytest.mark.parametrize("angle", [1e-8, 2e-8, 1e-7, 1e-6, 1e-4])
+def test_nearly_parallel_motors_are_as_far_apart_as_parallel_ones(angle: float) -> None:
+    rng = np.random.default_rng(0)
+    T = motor_pose(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.0)
+    for turn in rng.uniform(0, 2 * np.pi, 40):
+        lean = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
+        at = rng.uniform(-0.12, 0.12, 3)
+        found, exact = (Clearance.of(T[None], motor_pose(at, axis, 0.0)[None], MOUNT).distance[0, 0]
+                        for axis in (lean, T[:3, 2]))  # fmt: skip
+        assert found == pytest.approx(exact, abs=0.5 * angle + 1e-8)
+
+
+def test_a_block_of_clearances_is_that_of_its_rows() -> None:
+    rng = np.random.default_rng(1)
+    axes = rng.normal(size=(12, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    poses = np.array([motor_pose(rng.uniform(-0.1, 0.1, 3), axis, 0.0) for axis in axes])
+    block = Clearance.of(poses[:5], poses[5:], MOUNT)
+    for k in range(5):
+        row = Clearance.of(poses[k : k + 1], poses[5:], MOUNT)
+        np.testing.assert_array_equal(block.distance[k], row.distance[0])
+        np.testing.assert_array_equal(block.meet[k], row.meet[0])
+    assert 0 < block.meet.sum() < block.meet.size
+
+
 def test_clearance_of_parallel_motors_is_exact() -> None:
     reach = 2 * MOUNT.envelope_radius
     T, U = np.eye(4), np.eye(4)
