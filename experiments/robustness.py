@@ -30,7 +30,7 @@ SECONDS, COPIES = 10.0, 8  # of each walk, and walks of each condition
 HAIR = 0.004  # by which joints read wrong, so that starts differ [rad]
 NOMINAL = "as trained"
 PER_JOINT = ("stiffness", "damping")  # what is drawn for each joint
-SAME_MASS = 1e-4  # relative difference of mass up to which a robot is the same: rules and parts make more, versions less
+SAME_MASS = 1e-4  # relative difference of mass that versions may make; rules and parts make more
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +144,7 @@ def _full(folder: Path) -> Description:
         robot = describe(outcome.blueprint, hull_vertices=FULL_HULL)
         if math.isclose(robot.mass, mass, rel_tol=SAME_MASS):
             return robot
-    raise BadInput(f"{folder} holds another robot than its design gives now by the rules of the folder with the paper's parts")
+    raise BadInput(f"{folder} holds another robot than its design gives by the folder's rules with the paper's parts")
 
 
 def _blueprint(folder: Path) -> Path:
