@@ -38,6 +38,7 @@ MODEL = 0.06  # goal for a virtual robot, from voxels to what MuJoCo steps [s]
 HELP_TIME = 0.5  # goal [s]
 GAITS, GAIT_SECONDS, REPEATS = 16, 4.0, 3  # of the comparison with the bare simulator
 MARK = "<!-- bench -->"
+SECTIONS = ("paper", "motor-scan", "search", "simulator", "training", "workers", "start", "memory")
 
 Row = dict[str, Any]  # {"what", "value", "unit", "goal": text or None, "note": text or None}
 
@@ -48,17 +49,20 @@ def main() -> int:
     parser.add_argument("-n", type=count, default=30, help="designs (30)")
     parser.add_argument("--searched", type=count, default=50, help="designs for the search rules (50)")
     parser.add_argument("--evaluations", type=count, default=24, help="evaluations per number of workers (24)")
+    parser.add_argument("--only", choices=SECTIONS, help="measure this alone; other rows of --out stay as they are")
     parser.add_argument("--out", type=Path, required=True, help="JSON to write")
     parser.add_argument("--readme", type=Path, help="put the table between its two bench marks")
     args = parser.parse_args()
     make_folder(args.out.parent)
-    rows: list[Row] = []
     learning = training(row, cores())
     sections = (designs(args.n), motor_scan(), search(row, args.searched), simulator(), learning,
                 workers(args.evaluations), start(), memory())  # fmt: skip
-    for found in itertools.chain.from_iterable(sections):  # Generators: each section measures when its turn comes.
-        say(line(found))
-        rows.append(found)
+    chosen = [s for name, s in zip(SECTIONS, sections, strict=True) if args.only in (None, name)]
+    found = []
+    for entry in itertools.chain.from_iterable(chosen):  # Generators: each section measures when its turn comes.
+        say(line(entry))
+        found.append(entry)
+    rows = found if args.only is None else replaced(json.loads(args.out.read_text("utf-8"))["rows"], found)
     result = {"bodyplan": VERSION, "machine": machine(), "seed": SEED, "designs": args.n, "rows": rows}
     args.out.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     table = f"Measured on {machine()}.\n\n{markdown(rows)}"
@@ -70,6 +74,19 @@ def main() -> int:
         args.readme.write_text(f"{before}{MARK}\n{table}{MARK}{after}", "utf-8")
     print(table)
     return 0
+
+
+def replaced(rows: list[Row], found: list[Row]) -> list[Row]:
+    """The rows with those of them that were measured again in their places.
+
+    Raises:
+        ValueError: one that was measured is not among them.
+    """
+    new = {entry["what"]: entry for entry in found}
+    missing = sorted(new.keys() - {entry["what"] for entry in rows})
+    if missing:
+        raise ValueError(f"the earlier table has no row {missing[0]!r}: measure all of it")
+    return [new.get(entry["what"], entry) for entry in rows]
 
 
 def designs(n: int) -> Iterator[Row]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments import bench_training
-from experiments.bench import row
+from experiments.bench import replaced, row
 from sim.environment import Environment
 from sim.model import Model
 
@@ -59,3 +59,11 @@ def test_rows_say_what_was_not_reached(model: Model, monkeypatch: pytest.MonkeyP
     assert rows["training on SubprocVecEnv, wall time"]["note"].startswith("4 processes")
     assert rows["times faster than SubprocVecEnv"]["value"] == 2.0
     assert "10.0, > 11.0, > 12.0" in rows["CPU-seconds to 0.5 m/s, at least"]["note"]
+
+
+def test_rows_measured_again_take_their_places() -> None:
+    rows = [row("a", 1.0, "s"), row("b", 2.0, "s"), row("c", 3.0, "s")]
+    found = replaced(rows, [row("b", 5.0, "s")])
+    assert [entry["value"] for entry in found] == [1.0, 5.0, 3.0]
+    with pytest.raises(ValueError, match="no row 'd'"):
+        replaced(rows, [row("d", 1.0, "s")])
