@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import gc
 import math
 import multiprocessing
 import os
@@ -249,6 +250,10 @@ def _serve(work: Callable[[Task], Result], pipe: Connection) -> None:
         threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         pipe.send("ready")
+        pipe.send((_attempt(work, pipe.recv()),))
+        # Libraries are in by now and stay: no collection of garbage need look through them again.
+        gc.collect()
+        gc.freeze()
         while True:
             pipe.send((_attempt(work, pipe.recv()),))
 
