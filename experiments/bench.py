@@ -54,6 +54,7 @@ def main() -> int:
     parser.add_argument("--readme", type=Path, help="put the table between its two bench marks")
     args = parser.parse_args()
     make_folder(args.out.parent)
+    earlier = None if args.only is None else earlier_rows(args.out)  # before anything is measured in vain
     learning = training(row, cores())
     sections = (designs(args.n), motor_scan(), search(row, args.searched), simulator(), learning,
                 workers(args.evaluations), start(), memory())  # fmt: skip
@@ -62,7 +63,7 @@ def main() -> int:
     for entry in itertools.chain.from_iterable(chosen):  # Generators: each section measures when its turn comes.
         say(line(entry))
         found.append(entry)
-    rows = found if args.only is None else replaced(json.loads(args.out.read_text("utf-8"))["rows"], found)
+    rows = found if earlier is None else replaced(earlier, found)
     result = {"bodyplan": VERSION, "machine": machine(), "seed": SEED, "designs": args.n, "rows": rows}
     args.out.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     table = f"Measured on {machine()}.\n\n{markdown(rows)}"
@@ -74,6 +75,16 @@ def main() -> int:
         args.readme.write_text(f"{before}{MARK}\n{table}{MARK}{after}", "utf-8")
     print(table)
     return 0
+
+
+def earlier_rows(path: Path) -> list[Row]:
+    """The rows of a table that was measured before; without one, an exit in one line."""
+    try:
+        return list(json.loads(path.read_text("utf-8"))["rows"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise SystemExit(
+            f"{path} holds no earlier table, and --only measures a part of one: measure all of it first"
+        ) from None
 
 
 def replaced(rows: list[Row], found: list[Row]) -> list[Row]:

@@ -189,18 +189,15 @@ def curves(chunk: Chunk) -> dict[str, float]:
     verdict = chunk.verdict
     found = {f"reward/{name}": value for name, value in chunk.curves.items()}
     kept = {} if verdict.kept is None else {"speed/kept_in_the_worst_corner": verdict.kept}
-    return (
-        found
-        | kept
-        | {
-            "speed/exploring": chunk.exploring_speed,
-            "speed/policy": verdict.speed,
-            "speed/randomised": verdict.robust_speed,
-            "episodes/falls": verdict.falls,
-            "episodes/lost": verdict.lost,
-            "cpu_seconds": chunk.seconds,
-        }
-    )
+    found |= {
+        "speed/exploring": chunk.exploring_speed,
+        "speed/policy": verdict.speed,
+        "speed/randomised": verdict.robust_speed,
+        "episodes/falls": verdict.falls,
+        "episodes/lost": verdict.lost,
+        "cpu_seconds": chunk.seconds,
+    }
+    return found | kept
 
 
 def told(chunk: Chunk) -> str:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from sim.randomisation import Draws
 
 SECONDS, COPIES = 10.0, 8  # of each walk, and walks of each condition
-HAIR = 0.004  # by which joints read wrong, so that starts differ [rad]
 NOMINAL = "as trained"
 PER_JOINT = ("stiffness", "damping")  # what is drawn for each joint
 SAME_MASS = 1e-4  # relative difference of mass that versions may make; rules and parts make more
@@ -96,6 +95,7 @@ def speeds(folder: Path, condition: Condition, seed: int = 0, nthread: int = 1) 
     from sim.herd import with_latency_room
     from sim.randomisation import nominal
     from sim.rollout import measure
+    from sim.verdict import HAIR
 
     model = with_latency_room(_spec(folder, condition))
     driver = load_driver(folder, model)
