@@ -94,7 +94,7 @@ def main(argv: list[str] | None = None) -> int:
     began = time.time()
     tasks = [
         (args.decoder, args.solver, args.seed, index, args.gaits, args.seconds)
-        for index in progress(_passing(args.decoder, args.solver, args.seed, args.n), args.n, "bodies that pass")
+        for index in progress(passing(args.decoder, args.solver, args.seed, args.n), args.n, "bodies that pass")
     ]
     with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
         found = list(progress(pool.imap(study, tasks), args.n, "walking"))
@@ -125,7 +125,7 @@ def study(task: tuple[str, Solvers, int, int, int, float]) -> list[Walks]:
     from sim.rollout import measure, roll_out, settle
 
     name, rules, seed, index, gaits, seconds = task
-    blueprint = _blueprint(name, rules, seed, index)
+    blueprint = body_of(name, rules, seed, index)
     assert blueprint is not None  # it passed before
     found: list[Walks] = []
     pose: NDArray[np.float64] | None = None
@@ -164,7 +164,7 @@ def summary(bodies: Sequence[Sequence[Walks]]) -> list[dict[str, Any]]:
             "compile_ms": float(np.median([w.compile_ms for w in walks])),
             "steps_per_s": float(np.mean([w.steps_per_s for w in walks])),
             "real_time": float(np.mean([w.real_time for w in walks])),
-            "rank": _mean_interval([spearman(a, b) for a, b in pairs]), "rank_with_itself": _mean_interval(itself),
+            "rank": mean_interval([spearman(a, b) for a, b in pairs]), "rank_with_itself": mean_interval(itself),
             "rank_of_bodies": spearman(*([max(v, default=None) for v in side] for side in zip(*pairs, strict=True))),
             "speed_ratio": float(np.median([np.mean(a) / np.mean(b) for a, b in pairs if a])),
             "error_mm_s": 1e3 * float(np.mean([np.mean(np.abs(np.subtract(a, b))) for a, b in pairs if a])),
@@ -216,17 +216,17 @@ def _model(blueprint: Blueprint, level: str) -> tuple[Model, float]:
     return model, time.perf_counter() - begun
 
 
-def _passing(name: str, rules: Solvers, seed: int, wanted: int) -> Iterator[int]:
+def passing(name: str, rules: Solvers, seed: int, wanted: int) -> Iterator[int]:
     """Indices of the first random bodies that can be built by some rules."""
     index = 0
     while wanted:
-        if _blueprint(name, rules, seed, index) is not None:
+        if body_of(name, rules, seed, index) is not None:
             wanted -= 1
             yield index
         index += 1
 
 
-def _blueprint(name: str, rules: Solvers, seed: int, index: int) -> Blueprint | None:
+def body_of(name: str, rules: Solvers, seed: int, index: int) -> Blueprint | None:
     """The body of a seed and an index, or None where it cannot be built."""
     import numpy as np
 
@@ -245,7 +245,7 @@ def _both(one: Sequence[float | None], two: Sequence[float | None]) -> tuple[lis
     return [a for a, _ in pairs], [b for _, b in pairs]
 
 
-def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
+def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Mean of independent values and its 95 % bootstrap interval."""
     import numpy as np
 
