@@ -12,22 +12,30 @@ from experiments.output import progress, say
 if TYPE_CHECKING:
     from evo.pool import Pool
     from experiments.policy_config import Policy
+    from sim.actor import Gait
     from sim.gaits import GaitResult
     from sim.model import Model
     from sim.race import Runner
+    from sim.sturdy import Trial
     from sim.training import Start
 
 GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
 SEARCHES = 2  # for open-loop gaits, each corrected by a start of its own
-HEAT_TIMEOUT = 3600.0  # of one runner [s]
+TIMEOUT = 3600.0  # of one runner's heat, or of one gait on its course [s]
 
 
 class Impossible(ValueError):
     """The robot cannot be trained; the message says why."""
 
 
-def best_start(config: Policy, model: Model, workers: int) -> Runner:
+def best_start(config: Policy, model: Model, others: Sequence[Model], workers: int) -> Runner:
     """The winner of a race of starts, with what it has learned; the number of workers changes nothing.
+
+    Args:
+        config: of the training.
+        model: of the robot.
+        others: the same robot modelled otherwise; gaits have to hold on these, too.
+        workers: processes.
 
     Raises:
         Impossible: if the physics explodes under every gait, or no start could be tried.
@@ -40,8 +48,12 @@ def best_start(config: Policy, model: Model, workers: int) -> Runner:
     if config.task != "speed":
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
-    runners = tuple(Runner(start) for start in candidates(gaits(config, model), config.starts))
-    with Pool[Runner, Runner](Heat(model, config.training(model), config.race_steps), workers, HEAT_TIMEOUT) as pool:
+    found: Sequence[GaitResult | Trial] = gaits(config, model)
+    if config.randomise:
+        found = sturdier(found, config, model, others, workers)
+    runners = tuple(Runner(start) for start in candidates(found, config.starts))
+    heat = Heat(model, config.training(model), config.race_steps, others=tuple(others))
+    with Pool[Runner, Runner](heat, workers, TIMEOUT) as pool:
         for kept in heats(len(runners)):
             if len(runners) == 1:  # the others were lost
                 break
@@ -69,7 +81,41 @@ def gaits(config: Policy, model: Model) -> list[GaitResult]:
     return sorted(found, key=lambda gait: -gait.score)
 
 
-def candidates(found: Sequence[GaitResult], count: int) -> tuple[Start, ...]:
+def sturdier(
+    found: Sequence[GaitResult | Trial], config: Policy, model: Model, others: Sequence[Model], workers: int
+) -> list[Trial]:
+    """The gaits made to hold on all robots that training draws, the best first.
+
+    Raises:
+        Impossible: if none of them could be tried.
+    """
+    from evo.pool import Pool
+    from mfg.outcome import Failure
+    from sim.sturdy import Course
+
+    training = config.training(model)
+    course = Course(model, tuple(others), training.task.target_speed, seed=config.seed)
+    gaits = [result.gait for result in found]
+    places = {id(gait): place for place, gait in enumerate(gaits)}
+    say("making them hold where friction, contact, latency, gains and the ground differ")
+    done: dict[int, Trial] = {}
+    trouble = ""
+    with Pool[Gait, Trial](course, workers, TIMEOUT) as pool:
+        for gait, trial, _ in progress(pool.run(gaits), len(gaits), "gaits"):
+            if isinstance(trial, Failure):
+                trouble = trial.detail
+            else:
+                done[places[id(gait)]] = trial
+    if not done:
+        raise Impossible(f"no gait of {config.robot} could be tried: {trouble}")
+    for place in sorted(done):
+        trial = done[place]
+        reached = f"{trial.score:.2f} of {course.pace:.2f} m/s, {trial.least:.2f} at worst"
+        say(f"  heading {trial.heading:.2f} rad: {reached}")
+    return sorted((done[place] for place in sorted(done)), key=lambda trial: -trial.score)
+
+
+def candidates(found: Sequence[GaitResult | Trial], count: int) -> tuple[Start, ...]:
     """So many starts that gaits suggest, best gait first: those of the first gait, then the other gaits, corrected."""
     from sim.race import starts
     from sim.training import Start

@@ -66,11 +66,11 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     if mark.exists():
         trainer = _restored(config, model, source, workers, mark)
     else:
-        found = best_start(config, model, workers)
+        others = _others(config, source)
+        found = best_start(config, model, others, workers)
         trainer = Trainer(
-            model, config.training(model), found.start, others=_others(config, source), nthread=workers,
-            learned=found.learned,
-        )  # fmt: skip
+            model, config.training(model), found.start, others=others, nthread=workers, learned=found.learned
+        )
     with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
         try:
             for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):

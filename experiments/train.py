@@ -28,10 +28,11 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
-the robot that is built. "Forward" is not defined for a free-form body: several starts race first, open-loop gaits
-that the policy corrects and free policies along several directions. After each heat the worse ones drop out, and the
-training goes on from the winner. Faster than --pace costs reward, so that all of these robots go about as fast. The
-best policy so far is kept, judged without exploration: by the speed that is left at the worst end of all ranges.
+the robot that is built. Open-loop gaits are searched first, and made to hold on many such robots at once. "Forward" is
+not defined for a free-form body: those gaits, corrected by a policy, race against free policies along the best gait's
+direction and others. After each heat the worse ones drop out, and the training goes on from the winner. Faster than
+--pace costs reward, so that all of these robots go about as fast. The best policy so far is kept, judged without
+exploration: by the speed that is left at the worst end of all ranges, and by falls.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
@@ -64,8 +65,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--solver", choices=SOLVERS, help=f"by which rules a design is built ({DEFAULT_SOLVER})")
-    parser.add_argument("--steps", type=int, help="control periods of experience after the race (1250000)")
-    parser.add_argument("--starts", type=int, help="how many starts race: corrected gaits, free headings (6)")
+    parser.add_argument("--steps", type=int, help="control periods of experience after the race (800000)")
+    parser.add_argument("--starts", type=int, help="how many starts race: corrected gaits, free headings (4)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
     parser.add_argument("--pace", type=float, metavar="V", help="how fast it is to be (0.7 body lengths a second)")

@@ -12,7 +12,7 @@ from sim.actor import Gait
 from sim.learning import Learner, Unlearnable
 from sim.model import Model
 from sim.tasks import SCALE
-from sim.training import Start, Training, environment_of, first_spread
+from sim.training import Start, Training, environment_of, first_rate, first_spread
 from sim.verdict import Verdict, evaluate
 
 Array = NDArray[np.float64]
@@ -75,12 +75,14 @@ class Heat:
         training: of the whole, of which a heat runs a little.
         steps: control periods.
         judged: whether the policy is evaluated after it.
+        others: the same robot modelled otherwise, on which it is evaluated, too.
     """
 
     model: Model
     training: Training
     steps: int
     judged: bool = True
+    others: tuple[Model, ...] = ()
 
     def __call__(self, runner: Runner) -> Runner:
         """The runner after the heat; one that could not learn stands still."""
@@ -88,7 +90,7 @@ class Heat:
         learner = Learner(environment_of(self.model, training, runner.start), training.ppo, training.seed)
         if runner.learned:
             learner.restore(runner.learned)
-        rate, spread = training.ppo.learning_rate, first_spread(training, runner.start)
+        rate, spread = first_rate(training, runner.start), first_spread(training, runner.start)
         curves: Mapping[str, float] = {}
         for index in range(PARTS * runner.heats, PARTS * (runner.heats + 1)):
             rng = np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(RACE, index)))
@@ -96,7 +98,11 @@ class Heat:
                 curves, _ = learner.learn(third, rng, rate, spread)
             except Unlearnable:
                 return Runner(runner.start, runner.heats + 1)
-        verdict = evaluate(self.model, learner.exported(), training, cornered=False) if self.judged else None
+        verdict = None
+        if self.judged:
+            # In the first heat starts only begin to walk: what is left of that in a corner says nothing yet.
+            others, cornered = self.others if runner.heats else (), runner.heats > 0
+            verdict = evaluate(self.model, learner.exported(), training, others=others, cornered=cornered)
         return Runner(runner.start, runner.heats + 1, curves["speed"] / SCALE / 2.0, verdict, learner.state())
 
 

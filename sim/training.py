@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 LEARN = 0  # purpose of randomness; 1 is that of `sim.verdict`, 2 that of `sim.race`
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
-RHYTHM_SPREAD = 2 / 3  # of exploration about a rhythm over that of a free start
+# A rhythm that holds already is unlearned by what a free start needs: of that, its exploration and its learning rate.
+RHYTHM_SPREAD, RHYTHM_RATE = 0.25, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +43,13 @@ class Training:
     """
 
     seed: int = 0
-    steps: int = 1_250_000
+    steps: int = 800_000
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
     randomisation: Randomisation | None = WIDE
     episode: Episode = TEN_SECONDS
-    last_spread: float = 0.15
+    last_spread: float = 0.08
     share: float = 0.25
 
     def __post_init__(self) -> None:
@@ -169,7 +170,7 @@ class Trainer:
         # Explore widely first; a policy that leans on its own noise to move would stand still without it.
         first = first_spread(training, self.start)
         spread = first * (training.last_spread / first) ** min(1.0, progress / 0.6)
-        rate = training.ppo.learning_rate * (1.0 - 0.8 * progress)
+        rate = first_rate(training, self.start) * (1.0 - 0.8 * progress)
         rng = np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(LEARN, index)))
         steps = min(training.chunk, training.steps - index * training.chunk)
         curves, seconds = self.learner.learn(steps, rng, rate, spread)
@@ -231,8 +232,13 @@ def mixture_of(
     return Mixture([environment_of(robot, training, start, nthread, count) for robot, count in models])
 
 
+def first_rate(training: Training, start: Start) -> float:
+    """Learning rate at first."""
+    return training.ppo.learning_rate * (1.0 if start.rhythm is None else RHYTHM_RATE)
+
+
 def first_spread(training: Training, start: Start) -> float:
-    """Standard deviation of what the policy says at first; a rhythm would drown in what a free start needs."""
+    """Standard deviation of what the policy says at first."""
     return (
         training.ppo.spread if start.rhythm is None else max(training.last_spread, RHYTHM_SPREAD * training.ppo.spread)
     )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 EVALUATE = 1  # purpose of randomness beside those of `sim.training` and `sim.race`
-EPISODES, EVALUATION_SECONDS = 10, 10.0  # randomised episodes of an evaluation, and the length of all its walks [s]
+EPISODES, EVALUATION_SECONDS = 20, 10.0  # randomised episodes of an evaluation, and the length of all its walks [s]
 WALKS = 4  # of every corner; one walk says little about a walk that is nearly the same
 HAIR = 0.004  # by which joints read wrong, so that those differ [rad]
 
@@ -61,7 +61,7 @@ class Verdict:
         """
         if self.reward is not None:
             return self.reward
-        standing = 1.0 - self.falls / max(self.episodes, 1) / 2
+        standing = 1.0 - self.falls / max(self.episodes, 1)
         speed, robust = min(self.speed, self.target), min(self.robust_speed, self.target)
         return standing * ((speed + robust) / 2 if self.kept is None else speed * min(self.kept, 1.0))
 
