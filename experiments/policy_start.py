@@ -12,7 +12,6 @@ from experiments.output import progress, say
 if TYPE_CHECKING:
     from evo.pool import Pool
     from experiments.policy_config import Policy
-    from sim.actor import Gait
     from sim.gaits import GaitResult
     from sim.model import Model
     from sim.race import Runner
@@ -91,7 +90,8 @@ def sturdier(
     """
     from evo.pool import Pool
     from mfg.outcome import Failure
-    from sim.sturdy import Course
+    from sim.actor import Gait
+    from sim.sturdy import Course, Trial
 
     training = config.training(model)
     course = Course(model, tuple(others), training.task.target_speed, seed=config.seed)
