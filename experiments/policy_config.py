@@ -24,7 +24,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         steps: control periods after the race, all copies together.
         starts: what races: two open-loop gaits, corrected by the policy, and free policies along headings of the body;
             1 takes a corrected gait.
-        race_steps: control periods of each of them in each heat, after which the worse ones drop out.
+        race_steps: control periods of each of them, after which the training goes on from the best one's learner.
         chunk: control periods between two evaluations and checkpoints.
         copies: robots that gather experience together.
         task: what is learned.
@@ -41,9 +41,9 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 800_000
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 600_000
     starts: Annotated[int, Meta(ge=1, le=16)] = 4
-    race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 80_000
+    race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 160_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"

@@ -41,7 +41,7 @@ def best_start(config: Policy, model: Model, others: Sequence[Model], workers: i
     """
     from evo.pool import Pool
     from sim.model import default_pose
-    from sim.race import Heat, Runner, ahead, heats
+    from sim.race import Heat, Runner, ahead
     from sim.training import Start
 
     if config.task != "speed":
@@ -51,14 +51,11 @@ def best_start(config: Policy, model: Model, others: Sequence[Model], workers: i
     if config.randomise:
         found = sturdier(found, config, model, others, workers)
     runners = tuple(Runner(start) for start in candidates(found, config.starts))
-    heat = Heat(model, config.training(model), config.race_steps, others=tuple(others))
-    with Pool[Runner, Runner](heat, workers, TIMEOUT) as pool:
-        for kept in heats(len(runners)):
-            if len(runners) == 1:  # the others were lost
-                break
-            say(f"{len(runners)} starts race for {config.race_steps} control periods each")
-            runners = ahead(_run(pool, runners, config.robot), kept)
-    return runners[0]
+    if len(runners) == 1:
+        return runners[0]
+    say(f"{len(runners)} starts race for {config.race_steps} control periods each")
+    with Pool[Runner, Runner](Heat(model, config.training(model), config.race_steps), workers, TIMEOUT) as pool:
+        return ahead(_run(pool, runners, config.robot), 1)[0]
 
 
 def gaits(config: Policy, model: Model) -> list[GaitResult]:

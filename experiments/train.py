@@ -30,8 +30,8 @@ STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
 the robot that is built. Open-loop gaits are searched first, and made to hold on many such robots at once. "Forward" is
 not defined for a free-form body: those gaits, corrected by a policy, race against free policies along the best gait's
-direction and others. After each heat the worse ones drop out, and the training goes on from the winner. Faster than
---pace costs reward, so that all of these robots go about as fast. The best policy so far is kept, judged without
+direction and others, and the training goes on from the winner. Faster than --pace costs reward, so that all of these
+robots go about as fast. The best policy so far is kept, judged without
 exploration: by the speed that is left at the worst end of all ranges, and by falls.
 
 examples:
@@ -65,7 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--solver", choices=SOLVERS, help=f"by which rules a design is built ({DEFAULT_SOLVER})")
-    parser.add_argument("--steps", type=int, help="control periods of experience after the race (800000)")
+    parser.add_argument("--steps", type=int, help="control periods of experience after the race (600000)")
     parser.add_argument("--starts", type=int, help="how many starts race: corrected gaits, free headings (4)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")

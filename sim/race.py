@@ -1,4 +1,4 @@
-"""A race of starts: all train for a little, the better ones for longer, and the training goes on from the winner."""
+"""A race of starts: all train for a little, and the training goes on from the winner."""
 
 from __future__ import annotations
 
@@ -75,14 +75,12 @@ class Heat:
         training: of the whole, of which a heat runs a little.
         steps: control periods.
         judged: whether the policy is evaluated after it.
-        others: the same robot modelled otherwise, on which it is evaluated, too.
     """
 
     model: Model
     training: Training
     steps: int
     judged: bool = True
-    others: tuple[Model, ...] = ()
 
     def __call__(self, runner: Runner) -> Runner:
         """The runner after the heat; one that could not learn stands still."""
@@ -98,31 +96,14 @@ class Heat:
                 curves, _ = learner.learn(third, rng, rate, spread)
             except Unlearnable:
                 return Runner(runner.start, runner.heats + 1)
-        verdict = None
-        if self.judged:
-            # In the first heat starts only begin to walk: what is left of that in a corner says nothing yet.
-            others, cornered = self.others if runner.heats else (), runner.heats > 0
-            verdict = evaluate(self.model, learner.exported(), training, others=others, cornered=cornered)
+        # What is left in a corner says nothing yet about starts that only begin to walk.
+        verdict = evaluate(self.model, learner.exported(), training, cornered=False) if self.judged else None
         return Runner(runner.start, runner.heats + 1, curves["speed"] / SCALE / 2.0, verdict, learner.state())
 
 
 def speed(model: Model, training: Training, steps: int, start: Start) -> float:
     """What a start reaches while exploring, at the end of a single heat of so many control periods [m/s]."""
     return Heat(model, training, steps, judged=False)(Runner(start)).exploring
-
-
-def heats(count: int) -> tuple[int, ...]:
-    """How many of so many runners go on after each heat: half of them, but an even number until one is left.
-
-    Even, because two run at a time on two cores.
-    """
-    kept: list[int] = []
-    while count > 1:
-        half = -(-count // 2)
-        # Half of 3 rounded up to an even number is as many as there were; then the worst alone drops out.
-        count = 1 if half == 1 else min(half + half % 2, count - 1)
-        kept.append(count)
-    return tuple(kept)
 
 
 def ahead(runners: Sequence[Runner], count: int) -> tuple[Runner, ...]:

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` and the commands that train
 STEP = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
+FEW = 3  # ends of ranges that tell most
 EPISODES = 3  # walks of a gait with everything drawn, and with pushes
 FALLEN = 0.5  # what is left of the speed of a walk that falls at the very end
 
@@ -42,7 +43,7 @@ class Course:
         ranges: what the robots may differ in.
         seed: of all that is drawn.
         seconds: of each walk.
-        generations: of the CMA-ES.
+        generations: of the CMA-ES, the first half of them on the few robots that tell most.
         population: gaits of each.
     """
 
@@ -52,7 +53,7 @@ class Course:
     ranges: Randomisation = WIDE
     seed: int = 0
     seconds: float = 4.0
-    generations: int = 30
+    generations: int = 50
     population: int = 10
 
     def __call__(self, gait: Gait) -> Trial:
@@ -63,11 +64,12 @@ class Course:
         options = {"popsize": self.population, "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan,
                    "verbose": -9, "verb_log": 0}  # fmt: skip
         strategy = cma.CMAEvolutionStrategy(start, STEP, options)
-        for _ in range(self.generations):
-            points = strategy.ask()
-            trials = walker.trials(points)
+        for generation in range(self.generations):
+            points, brief = strategy.ask(), generation < self.generations // 2
+            trials = walker.trials(points, brief=brief)
             strategy.tell(points, [-trial.score for trial in trials])
-            best = max((best, *trials), key=lambda trial: trial.score)
+            if not brief:
+                best = max((best, *trials), key=lambda trial: trial.score)
         return max((best, *walker.trials([strategy.mean])), key=lambda trial: trial.score)
 
 
@@ -90,11 +92,12 @@ class Trial:
 
 @dataclass(eq=False)
 class _Walker:
-    """A course with the robots settled and drawn; every gait meets the same ones."""
+    """A course with the robots settled and drawn; every gait meets the same ones, but its own pushes and noise."""
 
     course: Course
     drive: Drive = field(init=False)
     grounds: list[tuple[Model, Array, Draws]] = field(init=False)
+    few: list[tuple[Model, Array, Draws]] = field(init=False)
 
     def __post_init__(self) -> None:
         course, model = self.course, self.course.model
@@ -105,15 +108,17 @@ class _Walker:
             return joined([draw(place, rng, count, robot.nu, robot.nbody - 1) for place in places])
 
         start = settle(model)
-        self.grounds = [(model, start, drawn(model, *_ends(course.ranges))),
-                        (model, start, drawn(model, course.ranges, count=EPISODES)),
-                        *((other, settle(other), drawn(other, EXACT)) for other in course.others)]  # fmt: skip
+        ends = _ends(course.ranges)
+        others = [(other, settle(other), drawn(other, EXACT)) for other in course.others]
+        everything = (model, start, drawn(model, course.ranges, count=EPISODES))
+        self.grounds = [(model, start, drawn(model, *ends)), everything, *others]
+        self.few = [(model, start, drawn(model, *ends[:FEW])), *others]
 
-    def trials(self, points: Sequence[Array]) -> list[Trial]:
-        """How the gaits that points stand for do, all at once."""
+    def trials(self, points: Sequence[Array], *, brief: bool = False) -> list[Trial]:
+        """How the gaits that points stand for do, all at once; on a few of the robots only if `brief`."""
         gaits = [decode(self.drive, point) for point in points]
         walks: list[list[Behaviour | None]] = [[] for _ in gaits]
-        for model, start, draws in self.grounds:
+        for model, start, draws in self.few if brief else self.grounds:
             count = len(draws.encoder_offset)
             rng = np.random.default_rng(np.random.SeedSequence(self.course.seed, spawn_key=(STURDY, 2)))
             rollouts = roll_out_actor(
@@ -141,12 +146,12 @@ def worth(walk: Behaviour | None, heading: float, pace: float) -> float:
 
 
 def _ends(ranges: Randomisation) -> tuple[Randomisation, ...]:
-    """The robot as it is, and the ends of ranges that gaits mind most."""
+    """The robot as it is, and the ends of ranges that gaits mind, friction first."""
     low = {name: (getattr(ranges, name)[0],) * 2 for name in ("friction", "contact_time", "stiffness", "damping")}
     high = {name: (getattr(ranges, name)[1],) * 2 for name in ("friction", "contact_time", "latency")}
     weak: dict[str, Any] = {name: low[name] for name in ("stiffness", "damping")}
-    each: list[dict[str, Any]] = [{name: low[name]} for name in ("friction", "contact_time")]
-    each += [{name: value} for name, value in high.items()]
+    each: list[dict[str, Any]] = [{name: end[name]} for name in ("friction", "contact_time") for end in (low, high)]
+    each.append({"latency": high["latency"]})
     return (EXACT, *(replace(EXACT, **change) for change in (*each, weak)))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,14 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return with_latency_room(load_spec(folder / "robot.xml"))
 
 
+@pytest.fixture(autouse=True)
+def short_course(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gait is made to hold in a moment, in the workers, too: they get the course, not its defaults."""
+    from sim.sturdy import Course
+
+    monkeypatch.setattr("sim.sturdy.Course", partial(Course, generations=1, population=4, seconds=0.5))
+
+
 @pytest.fixture(scope="module")
 def found(model: Any) -> Any:
     return gaits(CONFIG, model)
@@ -48,7 +57,7 @@ def test_each_gait_is_corrected_and_the_first_gives_the_headings(found: Any) -> 
 
 
 def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    here, there = (best_start(CONFIG, model, workers) for workers in (0, 2))
+    here, there = (best_start(CONFIG, model, (), workers) for workers in (0, 2))
     assert (here.heats, here.exploring) == (there.heats, there.exploring)
     assert here.verdict == there.verdict
     assert here.learned.keys() == there.learned.keys() != set()
@@ -56,15 +65,15 @@ def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.Capt
         np.testing.assert_array_equal(value, there.learned[name])
     said = capsys.readouterr().err
     assert "3 starts race for 1000 control periods each" in said
-    assert "2 starts race for 1000 control periods each" in said
+    assert "making them hold" in said
 
 
 def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
     from msgspec.structs import replace as changed
 
-    alone = best_start(changed(CONFIG, starts=1), model, 0)
+    alone = best_start(changed(CONFIG, starts=1), model, (), 0)
     assert alone.start.rhythm is not None
-    standing = best_start(changed(CONFIG, task="stand"), model, 0)
+    standing = best_start(changed(CONFIG, task="stand"), model, (), 0)
     assert standing.start.rhythm is None
     assert not alone.learned
     assert not standing.learned

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import pickle
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,7 @@ from trainings_in_brief import CORRECTED, FREE, GAIT, SMALL
 from mfg.description import Description
 from sim.herd import with_latency_room
 from sim.model import make_spec
-from sim.race import Heat, Runner, ahead, headings, heats, speed, starts
+from sim.race import Heat, Runner, ahead, headings, speed, starts
 from sim.training import Trainer
 from sim.verdict import Verdict
 
@@ -41,18 +40,6 @@ def test_candidates_are_the_gait_and_free_headings_all_around() -> None:
 
 def test_an_even_number_of_free_headings_has_the_opposite_of_the_gait_s() -> None:
     assert {round(float(np.cos(start.heading - 3.0))) for start in starts(GAIT, 3.0, 5)} == {-1, 0, 1}
-
-
-@pytest.mark.parametrize(("count", "kept"), [(1, ()), (2, (1,)), (3, (2, 1)), (5, (4, 2, 1)), (6, (4, 2, 1))])
-def test_a_race_halves_until_one_is_left(count: int, kept: tuple[int, ...]) -> None:
-    assert heats(count) == kept
-
-
-@pytest.mark.parametrize("count", range(2, 17))
-def test_somebody_drops_out_of_every_heat(count: int) -> None:
-    left = [count, *heats(count)]
-    assert left[-1] == 1
-    assert all(after < before for before, after in itertools.pairwise(left))
 
 
 def test_those_go_on_who_walk_without_falls_or_find_steps_while_exploring() -> None:

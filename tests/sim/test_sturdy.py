@@ -1,0 +1,125 @@
+"""Gaits that hold: what a walk is worth, and that every gait meets the same robots whatever walks beside it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mfg.description import Description
+from sim.actor import Gait, Perceptron
+from sim.closed_loop import roll_out_actor
+from sim.environment import action_map
+from sim.herd import with_latency_room
+from sim.model import make_spec
+from sim.observation import ObservationLayout, normaliser
+from sim.randomisation import EXACT, WIDE, draw
+from sim.rollout import Behaviour, measure
+from sim.skin import Fidelity
+from sim.sturdy import Course, Trial, _ends, _Walker, worth
+
+GAIT = Gait(1.2, np.full(4, 0.4), np.arange(4.0), np.zeros(4))
+WALK = Behaviour(
+    seconds=4.0, distance=1.2, speed=0.3, heading=0.5, body_length=0.4, fell=False, upright=1.0,
+    cost_of_transport=1.0, max_torque=5.0, overload=0.5, steps_per_s=1.0,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def course(quadruped: Description) -> Course:
+    links = tuple(replace(link, skin_thickness=0.02) for link in quadruped.links)
+    sprung = with_latency_room(make_spec(replace(quadruped, links=links), fidelity=Fidelity.SPRUNG))
+    model = with_latency_room(make_spec(quadruped))
+    return Course(model, (sprung,), 0.2, seconds=1.0, generations=2, population=4)
+
+
+@pytest.fixture(scope="module")
+def found(course: Course) -> Trial:
+    return course(GAIT)
+
+
+def test_a_walk_is_worth_its_speed_along_the_heading_up_to_the_pace() -> None:
+    assert worth(WALK, 0.5, 0.4) == pytest.approx(0.3)
+    assert worth(WALK, 0.5 + np.pi / 3, 0.4) == pytest.approx(0.15)
+    assert worth(WALK, 0.5 + np.pi, 0.4) == pytest.approx(-0.3)
+    assert worth(None, 0.5, 0.4) == 0.0
+
+
+@pytest.mark.parametrize(("speed", "value"), [(0.3, 0.3), (0.4, 0.2), (0.6, 0.0), (0.9, 0.0)])
+def test_what_is_beyond_the_pace_costs_as_much_as_what_is_short_of_it(speed: float, value: float) -> None:
+    assert worth(replace(WALK, speed=speed), 0.5, 0.3) == pytest.approx(value)
+
+
+def test_falls_and_hot_motors_cost() -> None:
+    assert worth(replace(WALK, fell=True, upright=0.8), 0.5, 0.4) == pytest.approx(0.3 * 0.8 / 2)
+    assert worth(replace(WALK, overload=1.5), 0.5, 0.4) == pytest.approx(0.2)
+    back = replace(WALK, fell=True, upright=0.1)
+    assert worth(back, 0.5 + np.pi, 0.4) == pytest.approx(-0.3)  # a fall does not make a walk backwards better
+
+
+def test_a_search_never_loses_what_it_was_given_and_repeats(course: Course, found: Trial) -> None:
+    given = replace(course, generations=0)(GAIT)
+    assert given.gait.frequency == pytest.approx(GAIT.frequency)
+    assert found.score >= given.score
+    again = course(GAIT)
+    assert (again.score, again.heading) == (found.score, found.heading)
+    np.testing.assert_array_equal(again.gait.offset, found.gait.offset)
+    assert replace(course, seed=1)(GAIT).score != pytest.approx(found.score)
+
+
+def test_the_worst_walk_counts_as_much_as_all(found: Trial) -> None:
+    assert found.least <= found.score
+    assert np.isfinite([found.score, found.least, found.heading]).all()
+
+
+def test_every_gait_meets_the_same_robots_whoever_walks_beside_it(course: Course) -> None:
+    walker = _Walker(course)
+    rng = np.random.default_rng(0)
+    points = [rng.random(13), rng.random(13), rng.random(13)]
+    together = walker.trials(points)
+    # Pushes and noise are drawn for all copies at once, so these are the walks without them.
+    walker.grounds = [ground for ground in walker.grounds if ground[2].push_speed == 0.0]
+    assert len(walker.grounds) == 2
+    quiet = walker.trials(points)
+    for k, point in enumerate(points):
+        (alone,) = walker.trials([point])
+        assert (alone.score, alone.heading) == pytest.approx((quiet[k].score, quiet[k].heading))
+        assert alone.heading == pytest.approx(together[k].heading)
+
+
+def test_a_gait_is_tried_as_a_silent_policy_follows_it(course: Course) -> None:
+    """Its direction on the model is that of a perceptron of zeros whose rhythm it is."""
+    model = course.model
+    (trial,) = _Walker(course).trials([np.linspace(0.2, 0.8, 13)])
+    actions = action_map(model)
+    centre, gain = normaliser(ObservationLayout(model.nu), actions)
+    silent = Perceptron(((np.zeros((centre.size, model.nu)), np.zeros(model.nu)),), centre, gain, actions,
+                        rhythm=trial.gait)  # fmt: skip
+    draws = draw(EXACT, np.random.default_rng(0), 1, model.nu, model.nbody - 1)
+    behaviour = measure(model, roll_out_actor(model, silent, course.seconds, draws=draws))[0]
+    assert behaviour is not None
+    assert trial.heading == pytest.approx(behaviour.heading)
+
+
+def test_a_course_begins_with_the_robot_as_it_is_and_differs_by_ends_of_ranges() -> None:
+    first, *others = _ends(WIDE)
+    assert first == EXACT
+    changed = [{f.name for f in fields(EXACT) if getattr(end, f.name) != getattr(EXACT, f.name)} for end in others]
+    assert changed == [
+        {"friction"}, {"friction"}, {"contact_time"}, {"contact_time"}, {"latency"}, {"stiffness", "damping"},
+    ]  # fmt: skip
+    assert others[0].friction[0] == WIDE.friction[0]
+    assert others[1].friction[0] == WIDE.friction[1]
+
+
+def test_other_robots_are_on_the_course_too(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    monkeypatch.setattr("sim.sturdy.roll_out_actor", lambda model, *_, copies, **__: seen.append((model, copies)))
+    monkeypatch.setattr("sim.sturdy.measure", lambda *_: [WALK] * 100)
+    walker = _Walker(course)
+    walker.trials([np.full(13, 0.5)] * 2)
+    assert [(model is course.model, copies) for model, copies in seen] == [(True, 14), (True, 6), (False, 2)]
+    walker.trials([np.full(13, 0.5)] * 2, brief=True)
+    assert [(model is course.model, copies) for model, copies in seen[3:]] == [(True, 6), (False, 2)]
