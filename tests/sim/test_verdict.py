@@ -118,8 +118,8 @@ def test_an_evaluation_has_episodes_on_other_models(model: Any, sprung: Any, mon
 
     monkeypatch.setattr("sim.verdict.randomised", randomised)
     verdict = evaluate(model, Trainer(model, SMALL, FREE).actor(), SMALL, others=(sprung,))
-    assert asked == [(model, 8), (sprung, 2)]
-    assert verdict.lost == verdict.episodes == 10
+    assert asked == [(model, 15), (sprung, 5)]
+    assert verdict.lost == verdict.episodes == 20
 
 
 def test_other_tasks_are_judged_by_their_reward(model: Any) -> None:
