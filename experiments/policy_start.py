@@ -47,10 +47,9 @@ def best_start(config: Policy, model: Model, others: Sequence[Model], workers: i
     if config.task != "speed":
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
-    found: Sequence[GaitResult | Trial] = gaits(config, model)
-    if config.randomise:
-        found = sturdier(found, config, model, others, workers)
-    runners = tuple(Runner(start) for start in candidates(found, config.starts))
+    found = gaits(config, model)
+    held = sturdier(found, config, model, others, workers) if config.randomise else found
+    runners = tuple(Runner(start) for start in candidates(found[0], held, config.starts))
     if len(runners) == 1:
         return runners[0]
     say(f"{len(runners)} starts race for {config.race_steps} control periods each")
@@ -78,7 +77,7 @@ def gaits(config: Policy, model: Model) -> list[GaitResult]:
 
 
 def sturdier(
-    found: Sequence[GaitResult | Trial], config: Policy, model: Model, others: Sequence[Model], workers: int
+    found: Sequence[GaitResult], config: Policy, model: Model, others: Sequence[Model], workers: int
 ) -> list[Trial]:
     """The gaits made to hold on all robots that training draws, the best first.
 
@@ -112,13 +111,17 @@ def sturdier(
     return sorted((done[place] for place in sorted(done)), key=lambda trial: -trial.score)
 
 
-def candidates(found: Sequence[GaitResult | Trial], count: int) -> tuple[Start, ...]:
-    """So many starts that gaits suggest, best gait first: those of the first gait, then the other gaits, corrected."""
-    from sim.race import starts
+def candidates(found: GaitResult, held: Sequence[GaitResult | Trial], count: int) -> tuple[Start, ...]:
+    """So many starts: gaits that hold, to be corrected, the best first; then free ones along headings.
+
+    The headings are spread from that of the gait found on the model alone, which may hold nowhere else but says along
+    which of its directions the body moves at all.
+    """
+    from sim.race import headings
     from sim.training import Start
 
-    others = tuple(Start(gait.heading, gait.gait.offset, gait.gait) for gait in found[1:])
-    return (*starts(found[0].gait, found[0].heading, count - len(others)), *others)
+    corrected = tuple(Start(gait.heading, gait.gait.offset, gait.gait) for gait in held)[:count]
+    return (*corrected, *(Start(h, found.gait.offset) for h in headings(found.heading, count - len(corrected))))
 
 
 def _run(pool: Pool[Runner, Runner], runners: Sequence[Runner], robot: str) -> list[Runner]:

@@ -48,12 +48,21 @@ def test_the_best_gait_comes_first(found: Any) -> None:
 
 
 def test_each_gait_is_corrected_and_the_first_gives_the_headings(found: Any) -> None:
-    starts = candidates(found, 6)
-    assert [start.rhythm is not None for start in starts] == [True, False, False, False, False, True]
-    assert [start.heading for start in starts[:2]] == [found[0].heading] * 2
-    assert starts[5].rhythm is found[1].gait
-    assert [start.rhythm for start in candidates(found, 2)] == [found[0].gait, found[1].gait]
-    assert [start.rhythm for start in candidates(found[:1], 1)] == [found[0].gait]
+    starts = candidates(found[0], found, 6)
+    assert [start.rhythm is not None for start in starts] == [True, True, False, False, False, False]
+    assert [start.rhythm for start in starts[:2]] == [found[0].gait, found[1].gait]
+    assert starts[2].heading == found[0].heading
+    assert [start.rhythm for start in candidates(found[0], found, 2)] == [found[0].gait, found[1].gait]
+    assert [start.rhythm for start in candidates(found[0], found[:1], 1)] == [found[0].gait]
+
+
+def test_free_starts_go_along_the_gait_of_the_model_alone(found: Any) -> None:
+    held = [replace(found[1], behaviour=replace(found[1].behaviour, heading=1.5))]
+    corrected, along, opposite = candidates(found[0], held, 3)
+    assert corrected.heading == 1.5
+    assert along.heading == found[0].heading
+    assert np.cos(opposite.heading - along.heading) == pytest.approx(-1.0)
+    np.testing.assert_array_equal(along.posture, found[0].gait.offset)
 
 
 def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,7 +97,7 @@ def test_a_pace_is_one_of_the_robot_s_own_lengths(model: Any) -> None:
 
 
 def test_a_runner_is_told_in_one_line(found: Any) -> None:
-    runner = Runner(candidates(found, 1)[0], 1, 0.123)
+    runner = Runner(candidates(found[0], found, 1)[0], 1, 0.123)
     assert told(runner).endswith("0.12 m/s exploring")
     judged = replace(runner, verdict=Verdict(0.2, 0.1, 3, 10, 0))
     assert told(judged).endswith("0.12 m/s exploring; the policy itself 0.20 m/s, 0.10 m/s randomised with 3 falls")
