@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from sim.training import Training
 
 
+# A gait that holds already is unlearned by as much exploration and as fast as one is learned that does not.
+HELD = {"rhythm_spread": 0.25, "rhythm_rate": 0.5}
+
+
 class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     """A training of one robot's policy.
 
@@ -69,5 +73,5 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         return Training(
             self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
             WIDE if self.randomise else None, replace(TEN_SECONDS, history=self.history),
-            share=self.pads,
+            share=self.pads, **(HELD if self.randomise else {}),
         )  # fmt: skip

@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 
 LEARN = 0  # purpose of randomness; 1 is that of `sim.verdict`, 2 that of `sim.race`
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
-# A rhythm that holds already is unlearned by what a free start needs: of that, its exploration and its learning rate.
-RHYTHM_SPREAD, RHYTHM_RATE = 0.25, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +36,8 @@ class Training:
         task: what is learned; its heading is that of the start.
         randomisation: what each episode draws; None trains on the model as it is.
         episode: how episodes run.
+        rhythm_spread: of the first exploration about a rhythm over that of a free start.
+        rhythm_rate: of the learning rate about a rhythm over that of a free start.
         last_spread: standard deviation of what the policy says at the end.
         share: of the copies and of the episodes of an evaluation that have another model of the robot, if there is one.
     """
@@ -49,6 +49,8 @@ class Training:
     task: Task = FAST
     randomisation: Randomisation | None = WIDE
     episode: Episode = TEN_SECONDS
+    rhythm_spread: float = 2 / 3
+    rhythm_rate: float = 1.0
     last_spread: float = 0.08
     share: float = 0.25
 
@@ -56,6 +58,9 @@ class Training:
         """Check the bounds."""
         if self.steps < 1 or self.chunk < 1:
             raise ValueError(f"training: steps {self.steps} and chunk {self.chunk} must be 1 or more")
+        for name in ("rhythm_spread", "rhythm_rate"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"training: {name} is {getattr(self, name)}; it must lie in (0, 1]")
         if not 0.01 <= self.last_spread <= self.ppo.spread:
             raise ValueError(f"training: last_spread is {self.last_spread}; it must lie in [0.01, {self.ppo.spread:g}]")
         if not 0.0 <= self.share <= 0.9:
@@ -234,11 +239,11 @@ def mixture_of(
 
 def first_rate(training: Training, start: Start) -> float:
     """Learning rate at first."""
-    return training.ppo.learning_rate * (1.0 if start.rhythm is None else RHYTHM_RATE)
+    return training.ppo.learning_rate * (1.0 if start.rhythm is None else training.rhythm_rate)
 
 
 def first_spread(training: Training, start: Start) -> float:
     """Standard deviation of what the policy says at first."""
-    return (
-        training.ppo.spread if start.rhythm is None else max(training.last_spread, RHYTHM_SPREAD * training.ppo.spread)
-    )
+    if start.rhythm is None:
+        return training.ppo.spread
+    return max(training.last_spread, training.rhythm_spread * training.ppo.spread)

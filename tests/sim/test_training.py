@@ -16,7 +16,7 @@ from sim.herd import with_latency_room
 from sim.learning import Unlearnable, Vector
 from sim.model import make_spec
 from sim.skin import Fidelity
-from sim.training import Start, Trainer, start_of
+from sim.training import Start, Trainer, first_rate, first_spread, start_of
 from sim.verdict import Verdict
 
 pytestmark = pytest.mark.usefixtures("short_evaluation")
@@ -177,6 +177,14 @@ def test_exploration_narrows_as_planned(model: Any) -> None:
     assert spreads[-1] == pytest.approx(SMALL.last_spread)
 
 
+def test_a_rhythm_is_explored_about_and_learned_as_the_training_says() -> None:
+    held = replace(SMALL, rhythm_spread=0.25, rhythm_rate=0.5)
+    assert first_spread(held, FREE) == first_spread(SMALL, FREE) == SMALL.ppo.spread
+    assert first_spread(held, CORRECTED) == pytest.approx(0.25 * SMALL.ppo.spread)
+    assert first_spread(replace(held, rhythm_spread=0.01), CORRECTED) == held.last_spread
+    assert (first_rate(held, FREE), first_rate(held, CORRECTED)) == pytest.approx((7e-4, 3.5e-4))
+
+
 @pytest.mark.filterwarnings("ignore")  # numpy and torch say on the way what becomes of such numbers
 def test_learning_that_diverges_says_so(model: Any) -> None:
     wild = replace(SMALL, ppo=replace(SMALL.ppo, learning_rate=1e38))
@@ -187,7 +195,13 @@ def test_learning_that_diverges_says_so(model: Any) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"steps": 0}, "steps 0"), ({"chunk": 0}, "chunk 0"), ({"last_spread": 0.9}, "last_spread")],
+    [
+        ({"steps": 0}, "steps 0"),
+        ({"chunk": 0}, "chunk 0"),
+        ({"last_spread": 0.9}, "last_spread"),
+        ({"rhythm_spread": 0.0}, "rhythm_spread is 0.0"),
+        ({"rhythm_rate": 1.5}, "rhythm_rate is 1.5"),
+    ],
 )
 def test_bounds_are_named(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
