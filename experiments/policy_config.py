@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sim.training import Training
 
 
-# A gait that holds already is unlearned by as much exploration and as fast as one is learned that does not.
+# What is learned about a gait that holds: more exploration or a higher rate would unlearn it.
 HELD = {"rhythm_spread": 0.25, "rhythm_rate": 0.5}
 
 
@@ -26,6 +26,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         solver: how manufacturing constraints are solved, where the robot is a design that is built first.
         seed: of everything random.
         steps: control periods after the race, all copies together.
+        generations: of the search that makes open-loop gaits hold on robots that differ; 0 takes them as they are.
         starts: what races: two open-loop gaits, corrected by the policy, and free policies along headings of the body;
             1 takes a corrected gait.
         race_steps: control periods of each of them, after which the training goes on from the best one's learner.
@@ -45,7 +46,8 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 600_000
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 850_000
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 36
     starts: Annotated[int, Meta(ge=1, le=16)] = 4
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 160_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000

@@ -48,7 +48,7 @@ def best_start(config: Policy, model: Model, others: Sequence[Model], workers: i
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
     found = gaits(config, model)
-    held = sturdier(found, config, model, others, workers) if config.randomise else found
+    held = sturdier(found, config, model, others, workers) if config.randomise and config.generations else found
     runners = tuple(Runner(start) for start in candidates(found[0], held, config.starts))
     if len(runners) == 1:
         return runners[0]
@@ -87,10 +87,12 @@ def sturdier(
     from evo.pool import Pool
     from mfg.outcome import Failure
     from sim.actor import Gait
+    from sim.randomisation import EXACT
     from sim.sturdy import Course, Trial
 
     training = config.training(model)
-    course = Course(model, tuple(others), training.task.target_speed, seed=config.seed)
+    course = Course(model, tuple(others), training.task.target_speed, training.randomisation or EXACT, config.seed,
+                    generations=config.generations)  # fmt: skip
     gaits = [result.gait for result in found]
     places = {id(gait): place for place, gait in enumerate(gaits)}
     say("making them hold where friction, contact, latency, gains and the ground differ")
@@ -100,8 +102,12 @@ def sturdier(
         for gait, trial, _ in progress(pool.run(gaits), len(gaits), "gaits"):
             if isinstance(trial, Failure):
                 trouble = trial.detail
+            elif trial.score <= -course.pace:
+                trouble = "its physics explodes"
             else:
                 done[places[id(gait)]] = trial
+    if trouble:
+        say(f"  a gait was lost: {trouble}")
     if not done:
         raise Impossible(f"no gait of {config.robot} could be tried: {trouble}")
     for place in sorted(done):

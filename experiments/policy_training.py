@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 STATE, EXPLOSIONS, ROBOT = "training.npz", "explosions", "robot.sha256"
 BLUEPRINT, EVENTS, VIDEO, STRIP, PAGE = "blueprint", "events", "walk.mp4", "walk.png", "behaviour.html"
 FINAL = 4  # purpose of randomness beside those of `sim.training`, `sim.race` and `experiments.policy_start`
-EPISODE = 20.0  # of the closing measurement [s]
+EPISODE, EPISODES = 20.0, 20  # length [s] and number of the closing measurement's drawn episodes
 
 
 def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str, Any]:
@@ -270,7 +270,8 @@ def _conclude(
     if behaviour is None:
         raise Impossible(f"the physics of {config.robot} explodes under the trained policy")
     save_bundle(folder, bundle_of(description, actor, config_hash=digest), source)
-    trials = randomised(model, actor, RANDOMISED, config.seed + FINAL, seconds=EPISODE, nthread=trainer.nthread)
+    trials = randomised(model, actor, RANDOMISED, config.seed + FINAL, episodes=EPISODES, seconds=EPISODE,
+                        nthread=trainer.nthread)  # fmt: skip
     alive = [trial for trial in trials if trial is not None]
     falls = len(trials) - sum(not trial.fell for trial in alive)
     uses = motor_uses(model, rollouts)

@@ -213,18 +213,25 @@ class _Race:
         ]
 
 
+def strategy_about(
+    start: NDArray[np.float64], step: float, population: int, rng: np.random.Generator
+) -> cma.CMAEvolutionStrategy:
+    """A CMA-ES over points, with ask and tell."""
+    # The library would seed numpy's global generator; it gets ours instead.
+    options = {
+        "popsize": population, "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan,
+        "verbose": -9, "verb_log": 0,
+    }  # fmt: skip
+    return cma.CMAEvolutionStrategy(start, step, options)
+
+
 def _evolve(
     race: _Race, start: NDArray[np.float64], step: float, rng: np.random.Generator, budget: GaitBudget
 ) -> list[_Trial]:
     """A few generations of CMA-ES."""
     if budget.generations == 0:
         return []
-    # The library would seed numpy's global generator; it gets ours instead.
-    options = {
-        "popsize": budget.population, "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan,
-        "verbose": -9, "verb_log": 0,
-    }  # fmt: skip
-    strategy = cma.CMAEvolutionStrategy(start, step, options)
+    strategy = strategy_about(start, step, budget.population, rng)
     found: list[_Trial] = []
     for _ in range(budget.generations):
         points = strategy.ask()

@@ -7,18 +7,17 @@ robots of a course at once, and the worst of them counts as much as all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
-import cma
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sim.actor import Gait
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
-from sim.gaits import decode, encode
-from sim.model import Drive, Model, drive_of
+from sim.gaits import decode, encode, strategy_about
+from sim.model import Drive, Model, body_length, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import EXACT, WIDE, Draws, Randomisation, draw, joined
 from sim.rollout import Behaviour, measure, settle
@@ -26,9 +25,9 @@ from sim.rollout import Behaviour, measure, settle
 Array = NDArray[np.float64]
 
 STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` and the commands that train
-STEP = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
-FEW = 3  # ends of ranges that tell most
-EPISODES = 3  # walks of a gait with everything drawn, and with pushes
+SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
+DRAWN = 3  # walks of a gait with everything drawn, and with pushes
+BRIEF = 3  # walks on the model in the first half of the search: as it is, and at both ends of friction
 FALLEN = 0.5  # what is left of the speed of a walk that falls at the very end
 
 
@@ -43,7 +42,7 @@ class Course:
         ranges: what the robots may differ in.
         seed: of all that is drawn.
         seconds: of each walk.
-        generations: of the CMA-ES, the first half of them on the few robots that tell most.
+        generations: of the CMA-ES, the first half of them on a few of the robots.
         population: gaits of each.
     """
 
@@ -53,24 +52,27 @@ class Course:
     ranges: Randomisation = WIDE
     seed: int = 0
     seconds: float = 4.0
-    generations: int = 50
+    generations: int = 36
     population: int = 10
 
     def __call__(self, gait: Gait) -> Trial:
-        """The best of a search about a gait; it is never worse than that gait itself, by its score on this course."""
-        walker, rng = _Walker(self), np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(STURDY,)))
-        start = encode(walker.drive, gait)
-        best = walker.trials([start])[0]
-        options = {"popsize": self.population, "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan,
-                   "verbose": -9, "verb_log": 0}  # fmt: skip
-        strategy = cma.CMAEvolutionStrategy(start, STEP, options)
+        """The best of a search about a gait, which is itself among the finalists.
+
+        Finalists walk for twice as long, on other robots than those of the search and under other pushes.
+        """
+        walker, rng = _Walker(self, 0), np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(STURDY,)))
+        given = encode(walker.drive, gait)
+        finalists, best = [given], -np.inf
+        strategy = strategy_about(given, SPREAD, self.population, rng)
         for generation in range(self.generations):
             points, brief = strategy.ask(), generation < self.generations // 2
             trials = walker.trials(points, brief=brief)
             strategy.tell(points, [-trial.score for trial in trials])
-            if not brief:
-                best = max((best, *trials), key=lambda trial: trial.score)
-        return max((best, *walker.trials([strategy.mean])), key=lambda trial: trial.score)
+            top = max(range(len(trials)), key=lambda k: trials[k].score)
+            if not brief and trials[top].score > best:
+                finalists, best = [given, points[top]], trials[top].score
+        final = _Walker(replace(self, seconds=2 * self.seconds), 1)
+        return max(final.trials([*finalists, strategy.mean]), key=lambda trial: trial.score)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,7 +82,8 @@ class Trial:
     Attributes:
         gait: tried.
         heading: its direction on the model as it is [rad].
-        score: mean of the least worth of all its walks and of their mean [m/s], see `worth`.
+        score: mean of the least worth of all its walks and of their mean [m/s], see `worth`; no more than minus the
+            pace where the physics of the model itself exploded.
         least: that least worth [m/s].
     """
 
@@ -95,73 +98,74 @@ class _Walker:
     """A course with the robots settled and drawn; every gait meets the same ones, but its own pushes and noise."""
 
     course: Course
+    draw: InitVar[int]
     drive: Drive = field(init=False)
-    grounds: list[tuple[Model, Array, Draws]] = field(init=False)
+    robots: list[tuple[Model, Array, Draws]] = field(init=False)
     few: list[tuple[Model, Array, Draws]] = field(init=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, draw: int) -> None:
         course, model = self.course, self.course.model
-        self.drive = drive_of(model)
-        rng = np.random.default_rng(np.random.SeedSequence(course.seed, spawn_key=(STURDY, 1)))
+        self.drive, self._length, self._draw = drive_of(model), body_length(model), draw
+        start, ends = settle(model), _ends(course.ranges)
+        others = [(other, settle(other), self._drawn(other, EXACT)) for other in course.others]
+        drawn = (model, start, self._drawn(model, *[course.ranges] * DRAWN))
+        self.robots = [(model, start, self._drawn(model, *ends)), drawn, *others]
+        self.few = [(model, start, self._drawn(model, *ends[:BRIEF])), *others]
 
-        def drawn(robot: Model, *places: Randomisation, count: int = 1) -> Draws:
-            return joined([draw(place, rng, count, robot.nu, robot.nbody - 1) for place in places])
+    def _rng(self, purpose: int) -> np.random.Generator:
+        key = (STURDY, 1 + self._draw, purpose)
+        return np.random.default_rng(np.random.SeedSequence(self.course.seed, spawn_key=key))
 
-        start = settle(model)
-        ends = _ends(course.ranges)
-        others = [(other, settle(other), drawn(other, EXACT)) for other in course.others]
-        everything = (model, start, drawn(model, course.ranges, count=EPISODES))
-        self.grounds = [(model, start, drawn(model, *ends)), everything, *others]
-        self.few = [(model, start, drawn(model, *ends[:FEW])), *others]
+    def _drawn(self, robot: Model, *places: Randomisation) -> Draws:
+        rng = self._rng(0)
+        return joined([draw(place, rng, 1, robot.nu, robot.nbody - 1) for place in places])
 
     def trials(self, points: Sequence[Array], *, brief: bool = False) -> list[Trial]:
         """How the gaits that points stand for do, all at once; on a few of the robots only if `brief`."""
         gaits = [decode(self.drive, point) for point in points]
         walks: list[list[Behaviour | None]] = [[] for _ in gaits]
-        for model, start, draws in self.few if brief else self.grounds:
+        for model, start, draws in self.few if brief else self.robots:
             count = len(draws.encoder_offset)
-            rng = np.random.default_rng(np.random.SeedSequence(self.course.seed, spawn_key=(STURDY, 2)))
             rollouts = roll_out_actor(
                 model, _Chorus(gaits, count, action_map(model)), self.course.seconds, copies=count * len(gaits),
-                draws=_repeated(draws, len(gaits)), rng=rng, start=start,
+                draws=joined([draws] * len(gaits)), rng=self._rng(1), start=start,
             )  # fmt: skip
-            found = measure(model, rollouts)
+            found = measure(model, rollouts, self._length)
             for k, own in enumerate(walks):
                 own += found[k * count : (k + 1) * count]
-        return [self._trial(gait, own) for gait, own in zip(gaits, walks, strict=True)]
+        return [trial_of(gait, own, self.course.pace) for gait, own in zip(gaits, walks, strict=True)]
 
-    def _trial(self, gait: Gait, walks: Sequence[Behaviour | None]) -> Trial:
-        heading = 0.0 if walks[0] is None else walks[0].heading
-        speeds = np.array([worth(walk, heading, self.course.pace) for walk in walks])
-        return Trial(gait, heading, float(speeds.mean() + speeds.min()) / 2, float(speeds.min()))
+
+def trial_of(gait: Gait, walks: Sequence[Behaviour | None], pace: float) -> Trial:
+    """What walks say of a gait, the first of them on the model as it is."""
+    if walks[0] is None:
+        return Trial(gait, 0.0, -pace, -pace)
+    worths = np.array([worth(walk, walks[0].heading, pace) for walk in walks])
+    return Trial(gait, walks[0].heading, float(worths.mean() + worths.min()) / 2, float(worths.min()))
 
 
 def worth(walk: Behaviour | None, heading: float, pace: float) -> float:
-    """Speed of a walk along a heading [rad], less what it is beyond the pace, where it fell or would overheat [m/s]."""
+    """What a walk counts [m/s]: its speed along a heading [rad], less what it is beyond the pace.
+
+    A share of that where it fell or a motor would overheat; the pace backwards where the physics exploded.
+    """
     if walk is None:
-        return 0.0
+        return -pace
     along = walk.speed * float(np.cos(walk.heading - heading))
-    along = min(along, max(2.0 * pace - along, 0.0)) / max(1.0, walk.overload)
-    return along * FALLEN * walk.upright if walk.fell and along > 0.0 else along
+    along = min(along, max(2.0 * pace - along, 0.0))
+    if along <= 0.0:
+        return max(along, -pace)
+    return along / max(1.0, walk.overload) * (FALLEN * walk.upright if walk.fell else 1.0)
 
 
 def _ends(ranges: Randomisation) -> tuple[Randomisation, ...]:
-    """The robot as it is, and the ends of ranges that gaits mind, friction first."""
+    """The robot as it is, and the ends of ranges that gaits mind most, friction first."""
     low = {name: (getattr(ranges, name)[0],) * 2 for name in ("friction", "contact_time", "stiffness", "damping")}
     high = {name: (getattr(ranges, name)[1],) * 2 for name in ("friction", "contact_time", "latency")}
     weak: dict[str, Any] = {name: low[name] for name in ("stiffness", "damping")}
     each: list[dict[str, Any]] = [{name: end[name]} for name in ("friction", "contact_time") for end in (low, high)]
     each.append({"latency": high["latency"]})
     return (EXACT, *(replace(EXACT, **change) for change in (*each, weak)))
-
-
-def _repeated(draws: Draws, times: int) -> Draws:
-    """The rows of some draws so many times over."""
-    arrays: dict[str, Any] = {
-        f.name: np.concatenate([value] * times)
-        for f in fields(draws) if isinstance(value := getattr(draws, f.name), np.ndarray)
-    }  # fmt: skip
-    return replace(draws, **arrays)
 
 
 class _Chorus:
@@ -176,5 +180,5 @@ class _Chorus:
         return self.actions.num_joints
 
     def act(self, time: float, observation: Array) -> Array:
-        centres: ArrayLike = np.repeat([gait.targets(time) for gait in self.gaits], self.count, axis=0)
+        centres = np.repeat([gait.targets(time) for gait in self.gaits], self.count, axis=0)
         return self.actions.targets(np.zeros(self.num_joints), observation[..., self.layout.action], centres)

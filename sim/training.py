@@ -43,7 +43,7 @@ class Training:
     """
 
     seed: int = 0
-    steps: int = 600_000
+    steps: int = 850_000
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
