@@ -18,7 +18,17 @@ from typing import TYPE_CHECKING, Any
 
 from evo.pool import Pool
 from experiments.fidelity_study import body_of, mean_interval, passing, spearman
-from experiments.output import DONE, add_decoder_option, add_solver_option, count, make_folder, progress, say, seed
+from experiments.output import (
+    BAD_INPUT,
+    DONE,
+    add_decoder_option,
+    add_solver_option,
+    count,
+    make_folder,
+    progress,
+    say,
+    seed,
+)
 from experiments.run_folder import write_json
 from mfg.outcome import Failure
 
@@ -61,12 +71,17 @@ def main(argv: list[str] | None = None) -> int:
     walk = partial(walks, args.decoder, args.solver, args.seed, args.gaits, args.seconds)
     with Pool[int, dict[str, Speeds]](walk, args.workers, TIMEOUT) as pool:
         done = {index: found for index, found, _ in progress(pool.run(indices), args.n, "walking")}
-    found = [walked for index in indices if not isinstance(walked := done[index], Failure)]
-    if len(found) < len(indices):
-        say(f"{len(indices) - len(found)} bodies were lost")
-    table = markdown(found, args.gaits, args.seconds)
-    bodies = {str(index): walked for index, walked in done.items() if not isinstance(walked, Failure)}
-    what = {"seed": args.seed, "decoder": args.decoder, "solver": args.solver, "bodies": bodies}
+    bodies: dict[str, dict[str, Speeds]] = {}
+    for index in indices:
+        if isinstance(walked := done[index], Failure):
+            say(f"body {index} was lost: {walked.detail}")
+        else:
+            bodies[str(index)] = walked
+    if not bodies:
+        return BAD_INPUT
+    table = markdown(list(bodies.values()), args.gaits, args.seconds)
+    what = {"seed": args.seed, "decoder": args.decoder, "solver": args.solver, "gaits": args.gaits,
+            "seconds": args.seconds, "bodies": bodies}  # fmt: skip
     write_json(folder / RESULT, what)
     (folder / TABLE).write_text(table, encoding="utf-8")
     say(f"written to {folder}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,15 @@ import pytest
 
 from experiments import cli
 from experiments.policy_config import Policy
-from experiments.policy_start import best_start, candidates, gaits, told
+from experiments.policy_start import Impossible, best_start, candidates, gaits, sturdier, told
 from sim.herd import with_latency_room
 from sim.model import body_length, load_spec
 from sim.race import Runner
+from sim.sturdy import Trial
 from sim.verdict import Verdict
 
 TRIPOD = Path(cli.__file__).parent / "examples" / "tripod.vox"
-CONFIG = Policy("policy", "tripod", seed=3, starts=3, race_steps=1000, copies=8)
+CONFIG = Policy("policy", "tripod", seed=3, generations=0, starts=3, race_steps=1000, copies=8)
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +27,6 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("blueprint") / "tripod"
     assert cli.main(["build", str(TRIPOD), "--no-guide", "--out", str(folder)]) == 0
     return with_latency_room(load_spec(folder / "robot.xml"))
-
-
-@pytest.fixture(autouse=True)
-def short_course(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gait is made to hold in a moment, in the workers, too: they get the course, not its defaults."""
-    from sim.sturdy import Course
-
-    monkeypatch.setattr("sim.sturdy.Course", partial(Course, generations=1, population=4, seconds=0.5))
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +66,31 @@ def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.Capt
         np.testing.assert_array_equal(value, there.learned[name])
     said = capsys.readouterr().err
     assert "3 starts race for 1000 control periods each" in said
-    assert "making them hold" in said
+    assert "making them hold" not in said
+
+
+def test_gaits_are_made_to_hold_before_they_race_by_any_number_of_workers(model: Any, found: Any) -> None:
+    from msgspec.structs import replace as changed
+
+    brief = changed(CONFIG, generations=1)
+    here, there = (sturdier(found, brief, model, (model,), workers) for workers in (0, 2))
+    assert [(trial.score, trial.least, trial.heading) for trial in here] == [
+        (trial.score, trial.least, trial.heading) for trial in there
+    ]
+    assert here[0].score >= here[1].score
+
+
+def test_gaits_that_come_to_nothing_are_told(
+    model: Any, found: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pace = CONFIG.training(model).task.target_speed
+    trials = iter([Trial(found[0].gait, 0.0, -pace, -pace), Trial(found[1].gait, 0.0, 0.1, 0.0)] * 2)
+    monkeypatch.setattr("sim.sturdy.Course.__call__", lambda *_: next(trials))
+    (left,) = sturdier(found, CONFIG, model, (), 0)
+    assert left.gait is found[1].gait
+    assert "a gait was lost: its physics explodes" in capsys.readouterr().err
+    with pytest.raises(Impossible, match="no gait of tripod could be tried: its physics explodes"):
+        sturdier(found[:1], CONFIG, model, (), 0)
 
 
 def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
@@ -82,6 +98,8 @@ def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
 
     alone = best_start(changed(CONFIG, starts=1), model, (), 0)
     assert alone.start.rhythm is not None
+    exact = best_start(changed(CONFIG, starts=1, generations=9, randomise=False), model, (), 0)
+    np.testing.assert_array_equal(exact.start.posture, alone.start.posture)
     standing = best_start(changed(CONFIG, task="stand"), model, (), 0)
     assert standing.start.rhythm is None
     assert not alone.learned

@@ -49,7 +49,7 @@ def test_the_command_writes_table_and_speeds(
     monkeypatch.setattr(step_study, "walks", _pretend)
     assert main(["-n", "2", "--out", str(tmp_path / "step")]) == 0
     assert (tmp_path / "step" / TABLE).read_text(encoding="utf-8") in capsys.readouterr().out
-    assert set(json.loads((tmp_path / "step" / RESULT).read_text("utf-8"))["bodies"]) == {"4", "9"}
+    assert list(json.loads((tmp_path / "step" / RESULT).read_text("utf-8"))["bodies"]) == ["4", "9"]
 
 
 def _pretend(*_: Any) -> dict[str, Any]:

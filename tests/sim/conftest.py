@@ -55,7 +55,7 @@ def pendulum() -> Description:
 
 @pytest.fixture(scope="module")
 def short_evaluation() -> Iterator[None]:
-    """Ten seconds of ten robots after every chunk or heat would be all that tests of training do."""
+    """Ten seconds of dozens of robots after every chunk or race would be all that tests of training do."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sim.verdict.EVALUATION_SECONDS", 0.2)
         yield
