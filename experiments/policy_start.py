@@ -41,7 +41,7 @@ def best_start(config: Policy, model: Model, others: Sequence[Model], workers: i
     """
     from evo.pool import Pool
     from sim.model import default_pose
-    from sim.race import Heat, Runner, ahead
+    from sim.race import Heat, Runner, winner
     from sim.training import Start
 
     if config.task != "speed":
@@ -54,7 +54,7 @@ def best_start(config: Policy, model: Model, others: Sequence[Model], workers: i
         return runners[0]
     say(f"{len(runners)} starts race for {config.race_steps} control periods each")
     with Pool[Runner, Runner](Heat(model, config.training(model), config.race_steps), workers, TIMEOUT) as pool:
-        return ahead(_run(pool, runners, config.robot), 1)[0]
+        return winner(_run(pool, runners, config.robot))
 
 
 def gaits(config: Policy, model: Model) -> list[GaitResult]:

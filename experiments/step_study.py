@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from evo.pool import Pool
 from experiments.fidelity_study import body_of, mean_interval, passing, spearman
 from experiments.output import (
-    BAD_INPUT,
+    INFEASIBLE,
     DONE,
     add_decoder_option,
     add_solver_option,
@@ -78,7 +78,7 @@ def main(argv: list[str] | None = None) -> int:
         else:
             bodies[str(index)] = walked
     if not bodies:
-        return BAD_INPUT
+        return INFEASIBLE
     table = markdown(list(bodies.values()), args.gaits, args.seconds)
     what = {"seed": args.seed, "decoder": args.decoder, "solver": args.solver, "gaits": args.gaits,
             "seconds": args.seconds, "bodies": bodies}  # fmt: skip

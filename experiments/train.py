@@ -29,10 +29,10 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses and sensor errors, so that the policy works on
 the robot that is built. Open-loop gaits are searched first, and made to hold on many such robots at once. "Forward" is
-not defined for a free-form body: those gaits, corrected by a policy, race against free policies along the best gait's
-direction and others, and the training goes on from the winner. Faster than --pace costs reward, so that all of these
-robots go about as fast. The best policy so far is kept, judged without
-exploration: by the speed that is left at the worst end of all ranges, and by falls.
+not defined for a free-form body: those gaits, corrected by a policy, race against free policies along the direction of
+the first gait and others, and the training goes on from the winner. Faster than --pace costs reward, so that all of
+these robots go about as fast. The best policy so far is kept, judged without exploration: by the speed that is left at
+the worst end of all ranges, and by falls.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes

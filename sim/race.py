@@ -42,17 +42,17 @@ class Runner:
 
     Attributes:
         start: what it began with.
-        heats: how many it has run.
-        exploring: mean speed along the heading while exploring, in the last third of its last heat [m/s].
-        verdict: of its policy after the last heat; None where it was not asked for.
-        learned: state of the learner, to go on with; empty before the first heat, and where learning diverged.
+        exploring: mean speed along the heading while exploring, in the last third of its heat [m/s].
+        verdict: of its policy after the heat; None where it was not asked for.
+        learned: state of the learner, to go on with; empty before the heat, and where learning diverged.
+        diverged: there is nothing to go on from.
     """
 
     start: Start
-    heats: int = 0
     exploring: float = 0.0
     verdict: Verdict | None = None
     learned: Mapping[str, Array] = field(default_factory=dict)
+    diverged: bool = False
 
     @property
     def merit(self) -> float:
@@ -61,8 +61,8 @@ class Runner:
         The score alone would end free starts early: their policies stand still without exploration until the steps
         that exploration finds have been learned. The exploring speed alone would count no fall.
         """
-        if self.heats and not self.learned:
-            return -np.inf  # it diverged: there is nothing to go on from
+        if self.diverged:
+            return -np.inf
         return self.exploring if self.verdict is None else (self.exploring + self.verdict.score) / 2
 
 
@@ -86,19 +86,17 @@ class Heat:
         """The runner after the heat; one that could not learn stands still."""
         training, third = self.training, max(1, self.steps // PARTS)
         learner = Learner(environment_of(self.model, training, runner.start), training.ppo, training.seed)
-        if runner.learned:
-            learner.restore(runner.learned)
         rate, spread = first_rate(training, runner.start), first_spread(training, runner.start)
         curves: Mapping[str, float] = {}
-        for index in range(PARTS * runner.heats, PARTS * (runner.heats + 1)):
+        for index in range(PARTS):
             rng = np.random.default_rng(np.random.SeedSequence(training.seed, spawn_key=(RACE, index)))
             try:
                 curves, _ = learner.learn(third, rng, rate, spread)
             except Unlearnable:
-                return Runner(runner.start, runner.heats + 1)
-        # What is left in a corner says nothing yet about starts that only begin to walk.
+                return Runner(runner.start, diverged=True)
+        # What is left in a corner says nothing yet about free starts, which only begin to walk.
         verdict = evaluate(self.model, learner.exported(), training, cornered=False) if self.judged else None
-        return Runner(runner.start, runner.heats + 1, curves["speed"] / SCALE / 2.0, verdict, learner.state())
+        return Runner(runner.start, curves["speed"] / SCALE / 2.0, verdict, learner.state())
 
 
 def speed(model: Model, training: Training, steps: int, start: Start) -> float:
@@ -106,6 +104,6 @@ def speed(model: Model, training: Training, steps: int, start: Start) -> float:
     return Heat(model, training, steps, judged=False)(Runner(start)).exploring
 
 
-def ahead(runners: Sequence[Runner], count: int) -> tuple[Runner, ...]:
-    """The best so many, best first; of equals, the first."""
-    return tuple(sorted(runners, key=lambda runner: -runner.merit)[:count])
+def winner(runners: Sequence[Runner]) -> Runner:
+    """The best; of equals, the first."""
+    return max(runners, key=lambda runner: runner.merit)

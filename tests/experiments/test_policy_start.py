@@ -59,7 +59,7 @@ def test_free_starts_go_along_the_gait_of_the_model_alone(found: Any) -> None:
 
 def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.CaptureFixture[str]) -> None:
     here, there = (best_start(CONFIG, model, (), workers) for workers in (0, 2))
-    assert (here.heats, here.exploring) == (there.heats, there.exploring)
+    assert here.exploring == there.exploring
     assert here.verdict == there.verdict
     assert here.learned.keys() == there.learned.keys() != set()
     for name, value in here.learned.items():
@@ -115,7 +115,7 @@ def test_a_pace_is_one_of_the_robot_s_own_lengths(model: Any) -> None:
 
 
 def test_a_runner_is_told_in_one_line(found: Any) -> None:
-    runner = Runner(candidates(found[0], found, 1)[0], 1, 0.123)
+    runner = Runner(candidates(found[0], found, 1)[0], 0.123)
     assert told(runner).endswith("0.12 m/s exploring")
     judged = replace(runner, verdict=Verdict(0.2, 0.1, 3, 10, 0))
     assert told(judged).endswith("0.12 m/s exploring; the policy itself 0.20 m/s, 0.10 m/s randomised with 3 falls")

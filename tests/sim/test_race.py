@@ -1,4 +1,4 @@
-"""A race sorts starts by what they learn, in heats that go on from one another, and repeats itself to the last bit."""
+"""A race sorts starts by what they learn, and repeats itself to the last bit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trainings_in_brief import CORRECTED, FREE, GAIT, SMALL
 from mfg.description import Description
 from sim.herd import with_latency_room
 from sim.model import make_spec
-from sim.race import Heat, Runner, ahead, headings, speed, starts
+from sim.race import Heat, Runner, headings, speed, starts, winner
 from sim.training import Trainer
 from sim.verdict import Verdict
 
@@ -44,29 +44,25 @@ def test_an_even_number_of_free_headings_has_the_opposite_of_the_gait_s() -> Non
 
 def test_those_go_on_who_walk_without_falls_or_find_steps_while_exploring() -> None:
     def runner(exploring: float, policy: float, falls: int) -> Runner:
-        return Runner(FREE, 1, exploring, Verdict(policy, policy, falls, 10, 0), {"weights": np.ones(1)})
+        return Runner(FREE, exploring, Verdict(policy, policy, falls, 10, 0), {"weights": np.ones(1)})
 
     still, seeking, falling, walking = (
         runner(0.0, 0.0, 0), runner(0.05, 0.0, 0), runner(0.2, 0.2, 9), runner(0.2, 0.2, 0),
     )  # fmt: skip
-    assert ahead([still, seeking, falling, walking], 4) == (walking, falling, seeking, still)
-    assert ahead([still, seeking, falling, walking], 2) == (walking, falling)
+    order = [walking, falling, seeking, still]
+    assert all(winner(order[k:][::-1]) is order[k] for k in range(4))
     twin = runner(0.2, 0.2, 0)
-    assert ahead([walking, twin], 1) == (walking,)
-    assert ahead([twin, walking], 1) == (twin,)
+    assert winner([walking, twin]) is walking
+    assert winner([twin, walking]) is twin
 
 
-def test_a_heat_goes_on_from_the_one_before(model: Any) -> None:
+def test_a_heat_repeats_itself_and_can_be_sent(model: Any) -> None:
     heat = Heat(model, SMALL, 192)
     once = heat(Runner(CORRECTED))
-    assert once.heats == 1
     assert once.verdict is not None
     sent: Runner = pickle.loads(pickle.dumps(once))
-    twice = heat(sent)
-    assert twice.heats == 2
-    assert bytes_of(twice) == bytes_of(heat(heat(Runner(CORRECTED))))
-    afresh = heat(replace(once, learned={}))
-    assert bytes_of(once) != bytes_of(twice) != bytes_of(afresh)
+    assert bytes_of(sent) == bytes_of(once) == bytes_of(heat(Runner(CORRECTED)))
+    assert bytes_of(once) != bytes_of(Heat(model, SMALL, 96)(Runner(CORRECTED)))
 
 
 def test_a_training_goes_on_from_the_winner_s_last_heat(model: Any) -> None:
@@ -83,7 +79,7 @@ def test_a_training_goes_on_from_the_winner_s_last_heat(model: Any) -> None:
 def test_who_diverges_stands_still(model: Any) -> None:
     wild = replace(SMALL, ppo=replace(SMALL.ppo, learning_rate=1e38))
     runner = Heat(model, wild, 192)(Runner(FREE))
-    assert (runner.heats, runner.merit, runner.verdict) == (1, -np.inf, None)
+    assert (runner.diverged, runner.merit, runner.verdict) == (True, -np.inf, None)
     assert not runner.learned
     assert speed(model, wild, 192, FREE) == 0.0
 
