@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from evo.pool import Pool
 from experiments.fidelity_study import body_of, mean_interval, passing, spearman
 from experiments.output import (
-    INFEASIBLE,
     DONE,
+    INFEASIBLE,
     add_decoder_option,
     add_solver_option,
     count,
