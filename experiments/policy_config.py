@@ -46,7 +46,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 850_000
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 800_000
     generations: Annotated[int, Meta(ge=0, le=10_000)] = 36
     starts: Annotated[int, Meta(ge=1, le=16)] = 4
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 160_000

@@ -43,7 +43,7 @@ class Training:
     """
 
     seed: int = 0
-    steps: int = 850_000
+    steps: int = 800_000
     chunk: int = 100_000
     ppo: Ppo = USUAL
     task: Task = FAST
