@@ -62,7 +62,7 @@ def test_a_heat_repeats_itself_and_can_be_sent(model: Any) -> None:
     assert once.verdict is not None
     sent: Runner = pickle.loads(pickle.dumps(once))
     assert bytes_of(sent) == bytes_of(once) == bytes_of(heat(Runner(CORRECTED)))
-    assert bytes_of(once) != bytes_of(Heat(model, SMALL, 96)(Runner(CORRECTED)))
+    assert bytes_of(once) != bytes_of(Heat(model, SMALL, 384)(Runner(CORRECTED)))
 
 
 def test_a_training_goes_on_from_the_winner_s_last_heat(model: Any) -> None:
