@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sim.training import Training
 
 
+RATE = 7e-4  # of learning; short trainings walk sooner by the usual one, long ones were measured by this one
 # What is learned about a gait that holds: more exploration or a higher rate would unlearn it.
 HELD = {"rhythm_spread": 0.25, "rhythm_rate": 0.5}
 
@@ -73,7 +74,7 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
 
         task = replace(STEADY, goal=Goal(self.task), target_speed=self.pace * body_length(model))
         return Training(
-            self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies), task,
+            self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies, learning_rate=RATE), task,
             WIDE if self.randomise else None, replace(TEN_SECONDS, history=self.history),
             share=self.pads, **(HELD if self.randomise else {}),
         )  # fmt: skip

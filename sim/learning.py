@@ -50,7 +50,7 @@ class Ppo:
     horizon: int = 32
     epochs: int = 4
     minibatch: int = 512
-    learning_rate: float = 7e-4
+    learning_rate: float = 1e-3
     gamma: float = 0.99
     trace: float = 0.95
     clip: float = 0.2
