@@ -76,17 +76,23 @@ class Walks:
     compile_ms: float
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the study, print its table and write it with all speeds."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.fidelity_study", description=__doc__.splitlines()[0])
+def study_parser(name: str, story: str, gaits: int) -> argparse.ArgumentParser:
+    """The command line of a study of random bodies that walk by random gaits, so many a body by default."""
+    parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=story.splitlines()[0])
     parser.add_argument("-n", type=count, default=10, help="bodies that pass (10)")
     parser.add_argument("--seed", type=seed, default=0, help="of bodies and gaits (0)")
-    parser.add_argument("--gaits", type=count, default=16, help="per body (16)")
+    parser.add_argument("--gaits", type=count, default=gaits, help=f"per body ({gaits})")
     parser.add_argument("--seconds", type=float, default=3.0, help="of each gait that are measured (3)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (2)")
+    parser.add_argument("--workers", type=count, default=2, help="processes (2)")
     parser.add_argument("--out", type=Path, required=True, help="folder for the table and all speeds")
     add_decoder_option(parser)
     add_solver_option(parser)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the study, print its table and write it with all speeds."""
+    parser = study_parser("fidelity_study", __doc__, gaits=16)
     args = parser.parse_args(argv)
     folder = make_folder(args.out)
     for library in ("OMP", "OPENBLAS"):  # before the workers import them

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from sim.race import Runner
     from sim.sturdy import Trial
     from sim.training import Start
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
 SEARCHES = 2  # for open-loop gaits, each corrected by a start of its own
@@ -85,7 +88,6 @@ def sturdier(
         Impossible: if none of them could be tried.
     """
     from evo.pool import Pool
-    from mfg.outcome import Failure
     from sim.actor import Gait
     from sim.randomisation import EXACT
     from sim.sturdy import Course, Trial
@@ -93,28 +95,20 @@ def sturdier(
     training = config.training(model)
     course = Course(model, tuple(others), training.task.target_speed, training.randomisation or EXACT, config.seed,
                     generations=config.generations)  # fmt: skip
-    gaits = [result.gait for result in found]
-    places = {id(gait): place for place, gait in enumerate(gaits)}
     say("making them hold where friction, contact, latency, gains and the ground differ")
-    done: dict[int, Trial] = {}
-    trouble = ""
     with Pool[Gait, Trial](course, workers, TIMEOUT) as pool:
-        for gait, trial, _ in progress(pool.run(gaits), len(gaits), "gaits"):
-            if isinstance(trial, Failure):
-                trouble = trial.detail
-            elif trial.score <= -course.pace:
-                trouble = "its physics explodes"
-            else:
-                done[places[id(gait)]] = trial
+        tried, trouble = _in_order(pool, [result.gait for result in found], "gaits")
+    done = [trial for trial in tried if trial.score > -course.pace]
+    if len(done) < len(tried):
+        trouble = "its physics explodes"
     if trouble:
         say(f"  a gait was lost: {trouble}")
     if not done:
         raise Impossible(f"no gait of {config.robot} could be tried: {trouble}")
-    for place in sorted(done):
-        trial = done[place]
+    for trial in done:
         reached = f"{trial.score:.2f} of {course.pace:.2f} m/s, {trial.least:.2f} at worst"
         say(f"  heading {trial.heading:.2f} rad: {reached}")
-    return sorted((done[place] for place in sorted(done)), key=lambda trial: -trial.score)
+    return sorted(done, key=lambda trial: -trial.score)
 
 
 def candidates(found: GaitResult, held: Sequence[GaitResult | Trial], count: int) -> tuple[Start, ...]:
@@ -123,30 +117,36 @@ def candidates(found: GaitResult, held: Sequence[GaitResult | Trial], count: int
     The headings are spread from that of the gait found on the model alone, which may hold nowhere else but says along
     which of its directions the body moves at all.
     """
-    from sim.race import headings
+    from sim.race import starts
     from sim.training import Start
 
     corrected = tuple(Start(gait.heading, gait.gait.offset, gait.gait) for gait in held)[:count]
-    return (*corrected, *(Start(h, found.gait.offset) for h in headings(found.heading, count - len(corrected))))
+    return (*corrected, *starts(found.gait, found.heading, 1 + count - len(corrected))[1:])
 
 
 def _run(pool: Pool[Runner, Runner], runners: Sequence[Runner], robot: str) -> list[Runner]:
     """The runners after a heat, in their order, without those that were lost."""
-    from mfg.outcome import Failure
-
-    done: dict[int, Runner] = {}
-    trouble = ""
-    places = {id(runner): place for place, runner in enumerate(runners)}
-    for runner, after, _ in progress(pool.run(runners), len(runners), "starts"):
-        if isinstance(after, Failure):
-            trouble = after.detail
-        else:
-            done[places[id(runner)]] = after
+    done, trouble = _in_order(pool, runners, "starts")
     if not done:
         raise Impossible(f"no start of {robot} could be tried: {trouble}")
-    for place in sorted(done):
-        say(told(done[place]))
-    return [done[place] for place in sorted(done)]
+    for runner in done:
+        say(told(runner))
+    return done
+
+
+def _in_order(pool: Pool[Task, Result], tasks: Sequence[Task], label: str) -> tuple[list[Result], str]:
+    """The results of tasks in their order, without those that were lost, and why one was lost or nothing."""
+    from mfg.outcome import Failure
+
+    done: dict[int, Result] = {}
+    trouble = ""
+    places = {id(task): place for place, task in enumerate(tasks)}
+    for task, result, _ in progress(pool.run(tasks), len(tasks), label):
+        if isinstance(result, Failure):
+            trouble = result.detail
+        else:
+            done[places[id(task)]] = result
+    return [done[place] for place in sorted(done)], trouble
 
 
 def told(runner: Runner) -> str:

@@ -9,26 +9,14 @@ a micrometre or a millimetre higher, and joints that were homed anew. Toppling i
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evo.pool import Pool
-from experiments.fidelity_study import body_of, mean_interval, passing, spearman
-from experiments.output import (
-    DONE,
-    INFEASIBLE,
-    add_decoder_option,
-    add_solver_option,
-    count,
-    make_folder,
-    progress,
-    say,
-    seed,
-)
+from experiments.fidelity_study import body_of, mean_interval, passing, spearman, study_parser
+from experiments.output import DONE, INFEASIBLE, make_folder, progress, say
 from experiments.run_folder import write_json
 from mfg.outcome import Failure
 
@@ -56,16 +44,7 @@ PAIRS = {  # what is compared, by names of walks
 
 def main(argv: list[str] | None = None) -> int:
     """Run the study, print its table and write it with all speeds."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.step_study", description=__doc__.splitlines()[0])
-    parser.add_argument("-n", type=count, default=10, help="bodies that pass (10)")
-    parser.add_argument("--seed", type=seed, default=0, help="of bodies and gaits (0)")
-    parser.add_argument("--gaits", type=count, default=32, help="per body (32)")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of each gait that are measured (3)")
-    parser.add_argument("--workers", type=count, default=2, help="processes (2)")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the table and all speeds")
-    add_decoder_option(parser)
-    add_solver_option(parser)
-    args = parser.parse_args(argv)
+    args = study_parser("step_study", __doc__, gaits=32).parse_args(argv)
     folder = make_folder(args.out)
     indices = list(progress(passing(args.decoder, args.solver, args.seed, args.n), args.n, "bodies that pass"))
     walk = partial(walks, args.decoder, args.solver, args.seed, args.gaits, args.seconds)
@@ -105,16 +84,17 @@ def walks(name: str, rules: Solvers, seed: int, gaits: int, seconds: float, inde
     model = compile_model(robot)
     drive, rng = drive_of(model), np.random.default_rng([seed, index, 1])
     chosen = [decode(drive, point) for point in random_points(drive, gaits, rng)]
-    found = {"usual": _speeds(model, chosen, seconds)}
+    start = settle(model)
+    found = {"usual": _speeds(model, chosen, seconds, start)}
     for label, share in (("half", 2), ("quarter", 4)):
         found[label] = _speeds(compile_model(robot, timestep=TIMESTEP / share), chosen, seconds)
     for label, height in HEIGHTS.items():
-        start = settle(model)
-        start[3] += height
-        found[label] = _speeds(model, chosen, seconds, start)
+        lifted = start.copy()
+        lifted[3] += height
+        found[label] = _speeds(model, chosen, seconds, lifted)
     for label in ("homed", "homed again"):
         off = rng.uniform(-HOMED, HOMED, model.nu)
-        found[label] = _speeds(model, [replace(gait, offset=gait.offset + off) for gait in chosen], seconds)
+        found[label] = _speeds(model, [replace(gait, offset=gait.offset + off) for gait in chosen], seconds, start)
     return found
 
 

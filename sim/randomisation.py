@@ -162,18 +162,20 @@ def draw(ranges: Randomisation, rng: np.random.Generator, count: int, num_joints
     )  # fmt: skip
 
 
+def at_end(ranges: Randomisation, end: int, *names: str) -> Randomisation:
+    """The robot as it is, but for some things that are at the low (0) or the high end (1) of their ranges."""
+    changes: dict[str, Any] = {name: (getattr(ranges, name)[end],) * 2 for name in names}
+    return replace(EXACT, **changes)
+
+
 def corners(ranges: Randomisation) -> tuple[Randomisation, ...]:
     """The robot as it is, then with one thing at a time at an end of its range; both gains are one thing.
 
     Less latency and more voltage than the model has would make the robot better, so those ends are left out.
     """
-
-    def at(end: int, *names: str) -> Randomisation:
-        changes: dict[str, Any] = {name: (getattr(ranges, name)[end],) * 2 for name in names}
-        return replace(EXACT, **changes)
-
     both = (("stiffness", "damping"), ("friction",), ("contact_time",), ("mass",))
-    return (EXACT, at(1, "latency"), at(0, "voltage"), *(at(end, *names) for names in both for end in (0, 1)))
+    each = (at_end(ranges, end, *names) for names in both for end in (0, 1))
+    return (EXACT, at_end(ranges, 1, "latency"), at_end(ranges, 0, "voltage"), *each)
 
 
 def joined(parts: Sequence[Draws]) -> Draws:

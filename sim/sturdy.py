@@ -7,8 +7,7 @@ robots of a course at once, and the worst of them counts as much as all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import InitVar, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,9 @@ from sim.actor import Gait
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
 from sim.gaits import decode, encode, strategy_about
-from sim.model import Drive, Model, body_length, drive_of
+from sim.model import Model, body_length, drive_of
 from sim.observation import ActionMap, ObservationLayout
-from sim.randomisation import EXACT, WIDE, Draws, Randomisation, draw, joined
+from sim.randomisation import EXACT, WIDE, Draws, Randomisation, at_end, draw, joined
 from sim.rollout import Behaviour, measure, settle
 
 Array = NDArray[np.float64]
@@ -93,19 +92,14 @@ class Trial:
     least: float
 
 
-@dataclass(eq=False)
 class _Walker:
     """A course with the robots settled and drawn; every gait meets the same ones, but its own pushes and noise."""
 
-    course: Course
-    draw: InitVar[int]
-    drive: Drive = field(init=False)
-    robots: list[tuple[Model, Array, Draws]] = field(init=False)
-    few: list[tuple[Model, Array, Draws]] = field(init=False)
-
-    def __post_init__(self, draw: int) -> None:
-        course, model = self.course, self.course.model
-        self.drive, self._length, self._draw = drive_of(model), body_length(model), draw
+    def __init__(self, course: Course, number: int) -> None:
+        """Draw the robots of the course; another number draws others."""
+        model = course.model
+        self.course, self._number = course, number
+        self.drive, self._length = drive_of(model), body_length(model)
         start, ends = settle(model), _ends(course.ranges)
         others = [(other, settle(other), self._drawn(other, EXACT)) for other in course.others]
         drawn = (model, start, self._drawn(model, *[course.ranges] * DRAWN))
@@ -113,7 +107,7 @@ class _Walker:
         self.few = [(model, start, self._drawn(model, *ends[:BRIEF])), *others]
 
     def _rng(self, purpose: int) -> np.random.Generator:
-        key = (STURDY, 1 + self._draw, purpose)
+        key = (STURDY, 1 + self._number, purpose)
         return np.random.default_rng(np.random.SeedSequence(self.course.seed, spawn_key=key))
 
     def _drawn(self, robot: Model, *places: Randomisation) -> Draws:
@@ -160,12 +154,8 @@ def worth(walk: Behaviour | None, heading: float, pace: float) -> float:
 
 def _ends(ranges: Randomisation) -> tuple[Randomisation, ...]:
     """The robot as it is, and the ends of ranges that gaits mind most, friction first."""
-    low = {name: (getattr(ranges, name)[0],) * 2 for name in ("friction", "contact_time", "stiffness", "damping")}
-    high = {name: (getattr(ranges, name)[1],) * 2 for name in ("friction", "contact_time", "latency")}
-    weak: dict[str, Any] = {name: low[name] for name in ("stiffness", "damping")}
-    each: list[dict[str, Any]] = [{name: end[name]} for name in ("friction", "contact_time") for end in (low, high)]
-    each.append({"latency": high["latency"]})
-    return (EXACT, *(replace(EXACT, **change) for change in (*each, weak)))
+    both = (at_end(ranges, end, name) for name in ("friction", "contact_time") for end in (0, 1))
+    return (EXACT, *both, at_end(ranges, 1, "latency"), at_end(ranges, 0, "stiffness", "damping"))
 
 
 class _Chorus:
