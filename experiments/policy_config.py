@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 RATE = 7e-4  # of learning; short trainings walk sooner by the usual one, long ones were measured by this one
-# What is learned about a gait that holds: more exploration or a higher rate would unlearn it.
-HELD = {"rhythm_spread": 0.25, "rhythm_rate": 0.5}
+# What is learned about a gait that holds: more exploration, reach or a higher rate would unlearn it.
+SPREAD, REACH, SLOWER = 0.25, 0.2, 0.5
 
 
 class Policy(Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,10 +27,10 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         solver: how manufacturing constraints are solved, where the robot is a design that is built first.
         seed: of everything random.
         steps: control periods after the race, all copies together.
-        generations: of the search that makes open-loop gaits hold on robots that differ; 0 takes them as they are.
-        starts: what races: two open-loop gaits, corrected by the policy, and free policies along headings of the body;
-            1 takes a corrected gait.
-        race_steps: control periods of each of them, after which the training goes on from the best one's learner.
+        generations: of the searches that make open-loop gaits hold on robots that differ; 0 takes gaits as they are.
+        starts: what races: the open-loop gait that holds best, or two not made to hold, and free policies along
+            headings of the body; 1 takes a gait.
+        race_steps: control periods of each that learns, after which the training goes on from the best one's learner.
         chunk: control periods between two evaluations and checkpoints.
         copies: robots that gather experience together.
         task: what is learned.
@@ -38,7 +38,8 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
             robots go at one pace keeps its speed on the real one.
         history: frames that the policy sees.
         randomise: whether episodes draw latency, gains, friction, masses, sensor errors and pushes.
-        pads: share of the robots, in training and in the episodes that choose the best, that stand on sprung pads.
+        pads: share of the robots, in training and in the episodes that choose the best, that stand on sprung pads; the
+            best is chosen by what it keeps on pads and on flexible skin, too, unless this is 0.
         terrain: what the robot walks on.
         film: length of the film [s], 0 for none. It changes no result.
     """
@@ -47,19 +48,24 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 800_000
-    generations: Annotated[int, Meta(ge=0, le=10_000)] = 36
-    starts: Annotated[int, Meta(ge=1, le=16)] = 4
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 600_000
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 44
+    starts: Annotated[int, Meta(ge=1, le=16)] = 3
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 160_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.7
+    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.6
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
-    pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.26  # 5 of the 20 episodes that choose the best
+    pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.35  # 7 of the 20 episodes that choose the best
     terrain: Literal["flat", "rough", "potholes", "slope", "steps"] = "flat"
     film: Annotated[float, Meta(ge=0.0, le=100.0)] = 10.0
+
+    @property
+    def held(self) -> bool:
+        """Whether open-loop gaits are made to hold before policies correct them."""
+        return self.randomise and self.generations > 0
 
     def training(self, model: Model) -> Training:
         """As the trainer of a robot wants it."""
@@ -73,8 +79,11 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         from sim.training import Training
 
         task = replace(STEADY, goal=Goal(self.task), target_speed=self.pace * body_length(model))
-        return Training(
+        training = Training(
             self.seed, self.steps, self.chunk, replace(USUAL, copies=self.copies, learning_rate=RATE), task,
             WIDE if self.randomise else None, replace(TEN_SECONDS, history=self.history),
-            share=self.pads, **(HELD if self.randomise else {}),
+            share=self.pads,
         )  # fmt: skip
+        if not self.held:
+            return training
+        return replace(training, rhythm_spread=SPREAD, rhythm_reach=REACH, rhythm_rate=SLOWER)

@@ -12,17 +12,19 @@ from experiments.output import progress, say
 if TYPE_CHECKING:
     from evo.pool import Pool
     from experiments.policy_config import Policy
+    from sim.actor import Gait
     from sim.gaits import GaitResult
     from sim.model import Model
     from sim.race import Runner
-    from sim.sturdy import Trial
+    from sim.sturdy import Course, Trial
     from sim.training import Start
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
-SEARCHES = 2  # for open-loop gaits, each corrected by a start of its own
+SEARCHES = 2  # for open-loop gaits
+ENOUGH = 0.75  # of the pace: no free start races against a gait that holds and goes so fast
 TIMEOUT = 3600.0  # of one runner's heat, or of one gait on its course [s]
 
 
@@ -30,38 +32,48 @@ class Impossible(ValueError):
     """The robot cannot be trained; the message says why."""
 
 
-def best_start(config: Policy, model: Model, others: Sequence[Model], workers: int) -> Runner:
+def best_start(
+    config: Policy, model: Model, others: Sequence[Model], checks: Sequence[Model], workers: int
+) -> Runner:  # fmt: skip
     """The winner of a race of starts, with what it has learned; the number of workers changes nothing.
 
     Args:
         config: of the training.
         model: of the robot.
         others: the same robot modelled otherwise; gaits have to hold on these, too.
+        checks: models of it on which gaits that hold are judged, too.
         workers: processes.
 
     Raises:
         Impossible: if the physics explodes under every gait, or no start could be tried.
     """
-    from evo.pool import Pool
     from sim.model import default_pose
-    from sim.race import Heat, Runner, winner
+    from sim.race import Runner, winner
     from sim.training import Start
 
     if config.task != "speed":
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
     found = gaits(config, model)
-    held = sturdier(found, config, model, others, workers) if config.randomise and config.generations else found
-    runners = tuple(Runner(start) for start in candidates(found[0], held, config.starts))
-    if len(runners) == 1:
-        return runners[0]
-    say(f"{len(runners)} starts race for {config.race_steps} control periods each")
-    with Pool[Runner, Runner](Heat(model, config.training(model), config.race_steps), workers, TIMEOUT) as pool:
-        return winner(_run(pool, runners, config.robot))
+    ready: list[Runner] = []
+    if config.held:
+        held = sturdier(found, config, model, others, workers)
+        if config.starts == 1:
+            return Runner(candidates(found[0], held, 1)[0])
+        best = _judged(config, model, checks, candidates(found[0], held, len(held)), workers)
+        if best.merit >= ENOUGH * config.training(model).task.target_speed:
+            return best
+        ready = [best]
+        runners = [Runner(start) for start in candidates(found[0], (), config.starts - len(ready))]
+    else:
+        runners = [Runner(start) for start in candidates(found[0], found, config.starts)]
+        if len(runners) == 1:
+            return runners[0]
+    return winner([*ready, *_race(config, model, runners, workers, needed=not ready)])
 
 
 def gaits(config: Policy, model: Model) -> list[GaitResult]:
-    """Open-loop gaits of independent searches, the best first; one search where no more than it is asked for.
+    """Open-loop gaits of independent searches, the best first.
 
     Raises:
         Impossible: if the physics explodes under every gait.
@@ -70,7 +82,8 @@ def gaits(config: Policy, model: Model) -> list[GaitResult]:
     from sim.rollout import Diverged
 
     found: list[GaitResult] = []
-    for key in [(GAIT,), *((GAIT, k) for k in range(1, SEARCHES))][: config.starts]:
+    count = SEARCHES if config.held else min(SEARCHES, config.starts)
+    for key in [(GAIT,), *((GAIT, k) for k in range(1, count))]:
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=key))
         try:
             found.append(search_gait(model, rng, SCREENING))
@@ -81,34 +94,40 @@ def gaits(config: Policy, model: Model) -> list[GaitResult]:
 
 def sturdier(
     found: Sequence[GaitResult], config: Policy, model: Model, others: Sequence[Model], workers: int
-) -> list[Trial]:
-    """The gaits made to hold on all robots that training draws, the best first.
+) -> list[Trial]:  # fmt: skip
+    """Gaits that hold on all robots that training draws, the best first; each that is given leaves two.
 
     Raises:
         Impossible: if none of them could be tried.
     """
-    from evo.pool import Pool
-    from sim.actor import Gait
     from sim.randomisation import EXACT
-    from sim.sturdy import Course, Trial
+    from sim.sturdy import Course
 
     training = config.training(model)
     course = Course(model, tuple(others), training.task.target_speed, training.randomisation or EXACT, config.seed,
                     generations=config.generations)  # fmt: skip
     say("making them hold where friction, contact, latency, gains and the ground differ")
-    with Pool[Gait, Trial](course, workers, TIMEOUT) as pool:
-        tried, trouble = _in_order(pool, [result.gait for result in found], "gaits")
-    done = [trial for trial in tried if trial.score > -course.pace]
+    left = _tried(course, [result.gait for result in found], config.robot, workers)
+    return sorted((trial for trials in left for trial in trials), key=lambda trial: -trial.score)
+
+
+def _tried(course: Course, gaits: Sequence[Gait], robot: str, workers: int) -> list[tuple[Trial, ...]]:
+    """What a course makes of gaits, in their order, without those that were lost."""
+    from evo.pool import Pool
+
+    with Pool(course, workers, TIMEOUT) as pool:
+        tried, trouble = _in_order(pool, gaits, "gaits")
+    done = [trials for trials in tried if trials[0].score > -course.pace]
     if len(done) < len(tried):
         trouble = "its physics explodes"
     if trouble:
         say(f"  a gait was lost: {trouble}")
     if not done:
-        raise Impossible(f"no gait of {config.robot} could be tried: {trouble}")
-    for trial in done:
-        reached = f"{trial.score:.2f} of {course.pace:.2f} m/s, {trial.least:.2f} at worst"
-        say(f"  heading {trial.heading:.2f} rad: {reached}")
-    return sorted(done, key=lambda trial: -trial.score)
+        raise Impossible(f"no gait of {robot} could be tried: {trouble}")
+    for best, *_ in done:
+        reached = f"{best.score:.2f} of {course.pace:.2f} m/s, {best.least:.2f} at worst"
+        say(f"  heading {best.heading:.2f} rad: {reached}")
+    return done
 
 
 def candidates(found: GaitResult, held: Sequence[GaitResult | Trial], count: int) -> tuple[Start, ...]:
@@ -124,11 +143,38 @@ def candidates(found: GaitResult, held: Sequence[GaitResult | Trial], count: int
     return (*corrected, *starts(found.gait, found.heading, 1 + count - len(corrected))[1:])
 
 
-def _run(pool: Pool[Runner, Runner], runners: Sequence[Runner], robot: str) -> list[Runner]:
-    """The runners after a heat, in their order, without those that were lost."""
-    done, trouble = _in_order(pool, runners, "starts")
-    if not done:
-        raise Impossible(f"no start of {robot} could be tried: {trouble}")
+def _judged(config: Policy, model: Model, checks: Sequence[Model], starts: Sequence[Start], workers: int) -> Runner:
+    """The best of gaits as they are, by what they keep where they keep the least."""
+    from evo.pool import Pool
+    from sim.race import AsItIs
+    from sim.verdict import stood
+
+    judge = AsItIs(stood(model), tuple(stood(check) for check in checks), config.training(model))
+    with Pool(judge, workers, TIMEOUT) as pool:
+        judged, trouble = _in_order(pool, starts, "gaits")
+    if not judged:
+        raise Impossible(f"no gait of {config.robot} could be judged: {trouble}")
+    for runner in judged:
+        say(told(runner))
+    return max(judged, key=lambda runner: runner.verdict.score if runner.verdict else 0.0)
+
+
+def _race(config: Policy, model: Model, runners: Sequence[Runner], workers: int, *, needed: bool) -> list[Runner]:
+    """The runners after a heat, in their order, without those that were lost.
+
+    Raises:
+        Impossible: if all were lost and one is needed.
+    """
+    from evo.pool import Pool
+    from sim.race import Heat
+
+    if not runners:
+        return []
+    say(f"{len(runners)} starts race for {config.race_steps} control periods each")
+    with Pool(Heat(model, config.training(model), config.race_steps), workers, TIMEOUT) as pool:
+        done, trouble = _in_order(pool, runners, "starts")
+    if needed and not done:
+        raise Impossible(f"no start of {config.robot} could be tried: {trouble}")
     for runner in done:
         say(told(runner))
     return done
@@ -151,9 +197,13 @@ def _in_order(pool: Pool[Task, Result], tasks: Sequence[Task], label: str) -> tu
 
 def told(runner: Runner) -> str:
     """A runner in one line."""
-    kind = "free" if runner.start.rhythm is None else "gait corrected"
-    line = f"  {kind}, heading {runner.start.heading:.2f} rad: {runner.exploring:.2f} m/s exploring"
-    if runner.verdict is None:
-        return line
+    kind = "free" if runner.start.rhythm is None else "gait corrected" if runner.learned else "gait"
+    line = f"  {kind}, heading {runner.start.heading:.2f} rad:"
+    if runner.learned:
+        line += f" {runner.exploring:.2f} m/s exploring"
     v = runner.verdict
-    return f"{line}; the policy itself {v.speed:.2f} m/s, {v.robust_speed:.2f} m/s randomised with {v.falls} falls"
+    if v is None:
+        return line
+    kept = "" if v.kept is None else f"; keeps {v.kept:.2f} in the worst corner"
+    policy = "; the policy itself" if runner.learned else ""
+    return f"{line}{policy} {v.speed:.2f} m/s, {v.robust_speed:.2f} m/s randomised with {v.falls} falls{kept}"

@@ -66,11 +66,12 @@ def train(config: Policy, folder: Path, resume: bool, workers: int) -> dict[str,
     if mark.exists():
         trainer = _restored(config, model, source, workers, mark)
     else:
-        others = _others(config, source)
-        found = best_start(config, model, others, workers)
+        others, checks = _others(config, source)
+        found = best_start(config, model, others, checks, workers)
         trainer = Trainer(
-            model, config.training(model), found.start, others=others, nthread=workers, learned=found.learned
-        )
+            model, config.training(model), found.start, others=others, checks=checks, nthread=workers,
+            learned=found.learned,
+        )  # fmt: skip
     with event_file(folder / EVENTS, trainer.training.simulated(trainer.done)) as events:
         try:
             for _ in progress(_chunks(trainer, mark, events), trainer.training.chunks - trainer.done, "training"):
@@ -125,9 +126,19 @@ def _same_robot(source: Path, path: Path, robot: str) -> None:
         )
 
 
-def _others(config: Policy, source: Path) -> tuple[Model, ...]:
-    """The robot on sprung pads: beside soft contact, the skin gives sideways and swings back."""
-    return (_model(config, source, "sprung"),) if config.randomise and config.pads > 0 else ()
+def _others(config: Policy, source: Path) -> tuple[tuple[Model, ...], tuple[Model, ...]]:
+    """The robot modelled otherwise: on sprung pads, to learn on, and with flexible skin, too, to choose the best by.
+
+    On pads the skin gives sideways and swings back; blocks of finite elements are too slow to learn on.
+    """
+    if not (config.randomise and config.pads > 0):
+        return (), ()
+    pads = _model(config, source, "sprung")
+    try:
+        return (pads,), (pads, _model(config, source, "flex"))
+    except BadInput as trouble:
+        say(f"the best is chosen without flexible skin, of which there is no model: {trouble}")
+        return (pads,), (pads,)
 
 
 def _model(config: Policy, source: Path, level: str = "compliant") -> Model:
@@ -149,8 +160,10 @@ def _restored(config: Policy, model: Model, source: Path, workers: int, mark: Pa
 
     state = read_state(mark)
     try:
-        others = _others(config, source)
-        trainer = Trainer(model, config.training(model), start_of(state), others=others, nthread=workers)
+        others, checks = _others(config, source)
+        trainer = Trainer(
+            model, config.training(model), start_of(state), others=others, checks=checks, nthread=workers
+        )  # fmt: skip
         trainer.restore(state)
     except (KeyError, ValueError) as error:
         raise BadInput(f"{mark}: not a checkpoint of this training ({error}); choose another --out") from None

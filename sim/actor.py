@@ -176,6 +176,11 @@ class Perceptron:
             W, b = self.layers[-1]
             return np.asarray(x @ W + b)[..., 0, :]
 
+    def silenced(self) -> Perceptron:
+        """One that says 0 whatever it sees: about a rhythm, that gait as it is."""
+        *rest, (W, b) = self.layers
+        return replace(self, layers=(*rest, (np.zeros_like(W), np.zeros_like(b))))
+
     def act(self, time: float, observation: Array) -> Array:
         """Give the joint targets (..., n) [rad]; they start from the previous ones, which are in the observation."""
         centre = None if self.rhythm is None else self.rhythm.targets(time)

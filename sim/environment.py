@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim import hidden
 from sim.actor import Gait, smooth_step
 from sim.closed_loop import Senses
 from sim.herd import Herd
@@ -75,6 +76,8 @@ class Step:
         terminated: the robot fell or was lost, (k,).
         truncated: its time was up, (k,).
         last: observation with which the ended episodes ended, (number of those, size), in the order of copies.
+        hidden: what only the simulator knows of the state after it, as `Environment.hidden`, (k, hidden_size).
+        last_hidden: the same of the ends of the ended episodes, (number of those, hidden_size).
         lengths: of the ended episodes [periods].
         returns: sums of reward of the ended episodes.
         parts: mean of every part of the reward over the copies.
@@ -85,6 +88,8 @@ class Step:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     last: Array
+    hidden: Array
+    last_hidden: Array
     lengths: NDArray[np.int64]
     returns: Array
     parts: Mapping[str, float]
@@ -121,6 +126,7 @@ class Environment:
         nthread: threads of the physics; it changes no result.
         explosions: the first states that were lost.
         lost: how many copies were lost in all.
+        kind: which model of the robot it is, where there are several; only the critic knows.
     """
 
     model: Model
@@ -133,6 +139,7 @@ class Environment:
     nthread: int = 1
     explosions: list[Explosion] = field(default_factory=list)
     lost: int = 0
+    kind: int = 0
 
     def __post_init__(self) -> None:
         """Settle the robot."""
@@ -151,7 +158,8 @@ class Environment:
         self._senses = Senses(self.herd, self.layout, nominal(self.count, self.model.nu))
         self._age, self._born = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.int64)
         self._yaw = np.zeros(self.count)
-        self._pace = np.zeros((self.count, 2))
+        self._pace, self._velocity = np.zeros((2, self.count, 2))
+        self._turning, self._robot = np.zeros(self.count), np.zeros((self.count, hidden.ROBOT))
         self._return = np.zeros(self.count)
         self._said = np.zeros((self.count, self.model.nu))
         self._commands = np.zeros((self.count, 3))
@@ -200,14 +208,33 @@ class Environment:
         self._note(gone, state, control)
         observation = senses.see(herd, self._rng)
         ended = np.flatnonzero(terminated | truncated)
-        last = observation[ended].copy()
-        last[gone[ended]] = 0.0
+        unseen = self.hidden()
+        last, last_hidden = observation[ended].copy(), unseen[ended]
+        last[gone[ended]] = last_hidden[gone[ended]] = 0.0
         lengths, returns = (self._age - self._born)[ended], self._return[ended].copy()
         if len(ended):
             self._begin(ended)
-            observation = senses.observation
+            observation, unseen = senses.observation, self.hidden()
         means = {name: float(np.nanmean(np.where(gone, 0.0, value))) for name, value in parts.items()}
-        return Step(observation, reward, terminated, truncated, last, lengths, returns, means)
+        return Step(observation, reward, terminated, truncated, last, unseen, last_hidden, lengths, returns, means)
+
+    @property
+    def hidden_size(self) -> int:
+        """How many numbers of a copy only the simulator knows."""
+        return 1 + hidden.ROBOT + hidden.MOTION + (0 if self.rhythm is None else hidden.PHASE)
+
+    def hidden(self) -> Array:
+        """What only the simulator knows of every copy as it is now, (count, hidden_size); see `sim.hidden`."""
+        task, time = self.task, (self._age - self._born) * self.herd.period
+        height = (self.herd.qpos[:, 2] - self._start[3]) / self._size
+        moving = hidden.motion(
+            self._velocity, self._pace, self._turning, height, np.minimum(time / LEAD_IN, 1.0), task.heading,
+            task.target_speed,
+        )  # fmt: skip
+        parts = [np.full((self.count, 1), float(self.kind)), self._robot, moving]
+        if self.rhythm is not None:
+            parts.append(hidden.phase(self.rhythm.frequency, np.asarray(time, dtype=np.float64)))
+        return np.concatenate(parts, axis=1)
 
     def _targets(self, said: Array) -> Array:
         """Joint targets; the policy takes over from the pose at rest as on the robot."""
@@ -226,9 +253,9 @@ class Environment:
         self._pace = self._pace + herd.period / PACE_TIME * (velocity - self._pace)
         torque, speed = herd.torques, herd.velocities
         turn = (yaw - self._yaw + np.pi) % (2 * np.pi) - np.pi
-        self._yaw = yaw
+        self._yaw, self._velocity, self._turning = yaw, velocity, turn / herd.period
         return Moment(
-            velocity, self._pace, turn / herd.period, up, speed, said, self._said,
+            velocity, self._pace, self._turning, up, speed, said, self._said,
             torque / herd.drive.continuous_torque, (torque * speed).sum(axis=1) / self._weight, self._commands,
         )  # fmt: skip
 
@@ -265,4 +292,6 @@ class Environment:
         self._senses.begin(herd, ids)
         self._yaw[ids] = turned(self._standing, herd.qpos[ids, 3:7])[1]
         self._age[ids] = self._born[ids] = 0
-        self._return[ids], self._said[ids], self._pace[ids] = 0.0, 0.0, 0.0
+        self._return[ids], self._said[ids], self._pace[ids], self._velocity[ids] = 0.0, 0.0, 0.0, 0.0
+        self._turning[ids] = 0.0
+        self._robot[ids] = hidden.robot(self._senses.draws)[ids]

@@ -19,9 +19,9 @@ from sim.tasks import FAST, Task
 ID = "bodyplan/Walk-v0"
 
 
-def spaces_of(environment: Environment | Mixture) -> tuple[Any, Any]:
-    """Gymnasium's spaces of one copy's observation and action."""
-    size, n = environment.layout.size, environment.map.num_joints
+def spaces_of(environment: Environment | Mixture, more: int = 0) -> tuple[Any, Any]:
+    """Gymnasium's spaces of one copy's observation, with so many more numbers behind it, and of its action."""
+    size, n = environment.layout.size + more, environment.map.num_joints
     observation = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
     return observation, gymnasium.spaces.Box(-1.0, 1.0, (n,), np.float32)
 

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
@@ -67,13 +68,13 @@ USUAL = Ppo()
 
 
 class Vector(VecEnv):  # type: ignore[misc]  # the library ships no types
-    """The environment as Stable-Baselines3 wants it."""
+    """The environment as Stable-Baselines3 wants it; after what the policy sees comes what only the critic sees."""
 
     def __init__(self, environment: Environment | Mixture, rng: np.random.Generator) -> None:
         """Wrap an environment; `rng` is that of its next reset."""
         self.environment, self.rng = environment, rng
         self.begin(rng)
-        observation, action = spaces_of(environment)
+        observation, action = spaces_of(environment, environment.hidden_size)
         super().__init__(environment.count, observation, action)
         self._nothing: list[dict[str, Any]] = [{} for _ in range(environment.count)]
 
@@ -94,7 +95,7 @@ class Vector(VecEnv):  # type: ignore[misc]  # the library ships no types
 
     def reset(self) -> NDArray[np.float32]:
         """Begin every copy anew."""
-        return self.environment.reset(self.rng).astype(np.float32)
+        return _seen(self.environment.reset(self.rng), self.environment.hidden())
 
     def step_async(self, actions: Array) -> None:
         """Keep the actions."""
@@ -105,15 +106,16 @@ class Vector(VecEnv):  # type: ignore[misc]  # the library ships no types
         step = self.environment.step(self._actions)
         done = step.terminated | step.truncated
         infos: list[dict[str, Any]] = list(self._nothing)
+        last = _seen(step.last, step.last_hidden)
         for place, index in enumerate(np.flatnonzero(done)):
             infos[index] = {
-                "terminal_observation": step.last[place].astype(np.float32),
+                "terminal_observation": last[place],
                 "TimeLimit.truncated": bool(step.truncated[index]),
             }
         self.parts.append(dict(step.parts))
         self.lengths.append(step.lengths)
         self.returns.append(step.returns)
-        return step.observation.astype(np.float32), step.reward.astype(np.float32), done, infos
+        return _seen(step.observation, step.hidden), step.reward.astype(np.float32), done, infos
 
     def close(self) -> None:
         """Nothing to close."""
@@ -136,17 +138,61 @@ class Vector(VecEnv):  # type: ignore[misc]  # the library ships no types
 
 
 class Normalise(BaseFeaturesExtractor):  # type: ignore[misc]
-    """The fixed affine map of the observation that every policy begins with."""
+    """The fixed affine map of the observation that every policy begins with; what follows it passes unchanged."""
 
     def __init__(self, observation_space: Any, centre: Sequence[float], gain: Sequence[float]) -> None:
         """Keep the map as constants."""
-        super().__init__(observation_space, len(centre))
-        self.register_buffer("centre", torch.tensor(centre, dtype=torch.float32))
-        self.register_buffer("gain", torch.tensor(gain, dtype=torch.float32))
+        size = observation_space.shape[0]
+        super().__init__(observation_space, size)
+        more = size - len(centre)
+        self.register_buffer("centre", torch.tensor([*centre, *[0.0] * more], dtype=torch.float32))
+        self.register_buffer("gain", torch.tensor([*gain, *[1.0] * more], dtype=torch.float32))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """(observations - centre) gain."""
         return (observations - self.centre) * self.gain
+
+
+class Networks(torch.nn.Module):  # type: ignore[misc]  # as are torch's
+    """Two hidden layers for the policy, which sees the first `seen` of the features, and two for the critic."""
+
+    def __init__(self, seen: int, size: int, units: int) -> None:
+        """Make them as the library does."""
+        super().__init__()
+
+        def hidden(inputs: int) -> torch.nn.Sequential:
+            layers = [torch.nn.Linear(inputs, units), torch.nn.Tanh(), torch.nn.Linear(units, units), torch.nn.Tanh()]
+            return torch.nn.Sequential(*layers)
+
+        self.seen = seen
+        self.policy_net, self.value_net = hidden(seen), hidden(size)
+        self.latent_dim_pi = self.latent_dim_vf = units
+
+    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Of both."""
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Of the policy."""
+        latent: torch.Tensor = self.policy_net(features[..., : self.seen])
+        return latent
+
+    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """Of the critic."""
+        latent: torch.Tensor = self.value_net(features)
+        return latent
+
+
+class ActorCritic(ActorCriticPolicy):  # type: ignore[misc]
+    """The library's, but that the critic may see more than the policy."""
+
+    def __init__(self, *args: Any, seen: int, units: int, **kwargs: Any) -> None:
+        """`seen`: how many numbers of an observation the policy sees, the first ones; `units` of each hidden layer."""
+        self._seen, self._units = seen, units
+        super().__init__(*args, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = Networks(self._seen, self.features_dim, self._units)
 
 
 def ppo_on(vector: VecEnv, environment: Environment | Mixture, settings: Ppo, seed: int) -> PPO:
@@ -155,12 +201,11 @@ def ppo_on(vector: VecEnv, environment: Environment | Mixture, settings: Ppo, se
     # Checking the arguments of every distribution costs as much as evaluating it; `Learner.learn` looks at the result.
     torch.distributions.Distribution.set_default_validate_args(False)
     return PPO(
-        "MlpPolicy", vector, learning_rate=settings.learning_rate, n_steps=settings.horizon,
+        ActorCritic, vector, learning_rate=settings.learning_rate, n_steps=settings.horizon,
         batch_size=min(settings.minibatch, settings.update), n_epochs=settings.epochs, gamma=settings.gamma,
         gae_lambda=settings.trace, clip_range=settings.clip, ent_coef=0.0, vf_coef=0.5, max_grad_norm=1.0,
         policy_kwargs={
-            "net_arch": {"pi": [settings.units] * 2, "vf": [settings.units] * 2},
-            "activation_fn": torch.nn.Tanh, "log_std_init": float(np.log(settings.spread)),
+            "seen": environment.layout.size, "units": settings.units, "log_std_init": float(np.log(settings.spread)),
             "features_extractor_class": Normalise,
             "features_extractor_kwargs": {"centre": centre.tolist(), "gain": gain.tolist()},
             "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # eps as the library has it
@@ -248,6 +293,11 @@ class Learner:
                 name: _tensor(name, state[f"adam/{place}/{name}"], shape) for name, shape in shapes.items()
             }
         policy.optimizer.load_state_dict(document | {"state": moments})
+
+
+def _seen(observation: Array, hidden: Array) -> NDArray[np.float32]:
+    """What the library sees: what the policy sees, then what only the critic does."""
+    return np.concatenate([observation, hidden], axis=1, dtype=np.float32)
 
 
 def _array(value: torch.Tensor) -> Array:

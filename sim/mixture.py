@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,8 +39,8 @@ class Mixture:
             raise ValueError("the environments of a mixture must have the same joints and observations")
         self.parts = tuple(parts)
         self.explosions: list[Explosion] = []  # the first states that were lost, of all parts
-        for part in parts:
-            part.explosions = self.explosions
+        for place, part in enumerate(parts):
+            part.explosions, part.kind = self.explosions, place
         self.count = sum(part.count for part in parts)
         self._cuts = np.cumsum([part.count for part in parts])[:-1]
 
@@ -81,6 +82,15 @@ class Mixture:
                  for name in steps[0].parts}  # fmt: skip
         joined = {
             name: np.concatenate([getattr(step, name) for step in steps])
-            for name in ("observation", "reward", "terminated", "truncated", "last", "lengths", "returns")
+            for name in (f.name for f in fields(Step) if f.name != "parts")
         }
         return Step(**joined, parts=means)
+
+    @property
+    def hidden_size(self) -> int:
+        """How many numbers of a copy only the simulator knows."""
+        return self.parts[0].hidden_size
+
+    def hidden(self) -> Array:
+        """What only the simulator knows of every copy, (count, hidden_size)."""
+        return np.concatenate([part.hidden() for part in self.parts])

@@ -1,9 +1,9 @@
-"""A race of starts: all train for a little, and the training goes on from the winner."""
+"""A race of starts: all train for a little, or are judged as they are, and the training goes on from the winner."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from sim.learning import Learner, Unlearnable
 from sim.model import Model
 from sim.tasks import SCALE
 from sim.training import Start, Training, environment_of, first_rate, first_spread
-from sim.verdict import Verdict, evaluate
+from sim.verdict import Stood, Verdict, evaluate, stood
 
 Array = NDArray[np.float64]
 
@@ -43,8 +43,8 @@ class Runner:
     Attributes:
         start: what it began with.
         exploring: mean speed along the heading while exploring, in the last third of its heat [m/s].
-        verdict: of its policy after the heat; None where it was not asked for.
-        learned: state of the learner, to go on with; empty before the heat, and where learning diverged.
+        verdict: of its policy after the heat, or of its gait without one; None where it was not asked for.
+        learned: state of the learner, to go on with; empty before and without a heat, and where learning diverged.
         diverged: there is nothing to go on from.
     """
 
@@ -59,11 +59,16 @@ class Runner:
         """What decides who goes on [m/s]: the mean of the exploring speed and of the verdict's score, if there is one.
 
         The score alone would end free starts early: their policies stand still without exploration until the steps
-        that exploration finds have been learned. The exploring speed alone would count no fall.
+        that exploration finds have been learned. The exploring speed alone would count no fall. A gait as it is does
+        not explore, so its score counts alone. What is left in a corner is left out: it says nothing yet about free
+        starts, which only begin to walk.
         """
         if self.diverged:
             return -np.inf
-        return self.exploring if self.verdict is None else (self.exploring + self.verdict.score) / 2
+        if self.verdict is None:
+            return self.exploring
+        score = replace(self.verdict, kept=None).score
+        return (self.exploring + score) / 2 if self.learned else score
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,9 +99,29 @@ class Heat:
                 curves, _ = learner.learn(third, rng, rate, spread)
             except Unlearnable:
                 return Runner(runner.start, diverged=True)
-        # What is left in a corner says nothing yet about free starts, which only begin to walk.
-        verdict = evaluate(self.model, learner.exported(), training, cornered=False) if self.judged else None
+        verdict = evaluate(stood(self.model), learner.exported(), training, cornered=False) if self.judged else None
         return Runner(runner.start, curves["speed"] / SCALE / 2.0, verdict, learner.state())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AsItIs:
+    """The verdict of a gait without a heat: of a policy about it that says nothing; can be sent to another process.
+
+    Attributes:
+        robot: as it is modelled.
+        checks: as it is modelled otherwise, to see what is kept there.
+        training: of the whole.
+    """
+
+    robot: Stood
+    checks: tuple[Stood, ...]
+    training: Training
+
+    def __call__(self, start: Start) -> Runner:
+        """The gait as a runner."""
+        environment = environment_of(self.robot.model, self.training, start)
+        actor = Learner(environment, self.training.ppo, self.training.seed).exported().silenced()
+        return Runner(start, verdict=evaluate(self.robot, actor, self.training, checks=self.checks))
 
 
 def speed(model: Model, training: Training, steps: int, start: Start) -> float:

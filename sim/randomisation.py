@@ -47,6 +47,7 @@ class Randomisation:
         0.85,
         1.15,
     )  # factor on each link's mass and inertia: infill, glue (legged_gym 0.9 to 1.1)
+    skin: Range = (0.5, 1.5)  # factor on the stiffness of sprung pads: the patch that the floor presses is (assumed)
     gyro_bias: float = 0.03  # each axis within this much [rad/s], a BNO08x after its calibration has less
     imu_turn: float = 0.04  # mounting error about each axis within this much [rad]
     encoder_offset: float = 0.03  # of each joint within this much [rad]: homing by hand against a printed mark
@@ -74,11 +75,11 @@ class Randomisation:
 
 RANDOMISED = Randomisation()
 # What is learned from: where a policy is to keep its speed at the ends of a range, training goes beyond them.
-WIDE = replace(RANDOMISED, friction=(0.35, 1.4), contact_time=(0.3, 2.5))
+WIDE = replace(RANDOMISED, friction=(0.35, 1.4), contact_time=(0.3, 2.5), skin=(0.25, 1.5))
 EXACT = Randomisation(
     latency=(0.008, 0.008), stiffness=(1.0, 1.0), damping=(1.0, 1.0), voltage=(1.0, 1.0), friction=(0.8, 0.8),
-    contact_time=(1.0, 1.0), mass=(1.0, 1.0), gyro_bias=0.0, imu_turn=0.0, encoder_offset=0.0, push_speed=0.0,
-    noise=None,
+    contact_time=(1.0, 1.0), mass=(1.0, 1.0), skin=(1.0, 1.0), gyro_bias=0.0, imu_turn=0.0, encoder_offset=0.0,
+    push_speed=0.0, noise=None,
 )  # fmt: skip
 
 
@@ -94,6 +95,7 @@ class Draws:
         friction: sliding, (k,).
         contact_time: factor, (k,).
         mass: factor on each body but the world, (k, nbody - 1).
+        skin: factor on the stiffness of sprung pads, (k,).
         gyro_bias: [rad/s], (k, 3).
         imu_turn: rotation from the IMU's true frame to where it believes to be, (k, 3, 3).
         encoder_offset: what a joint reads above its angle [rad], (k, n).
@@ -109,6 +111,7 @@ class Draws:
     friction: Array | None
     contact_time: Array | None
     mass: Array | None
+    skin: Array | None
     gyro_bias: Array
     imu_turn: Array
     encoder_offset: Array
@@ -136,7 +139,9 @@ class Draws:
 def nominal(count: int, num_joints: int) -> Draws:
     """Robots as in the model, with perfect sensors."""
     turn = np.repeat(np.eye(3)[None], count, axis=0)
-    return Draws(None, None, None, None, None, None, None, np.zeros((count, 3)), turn, np.zeros((count, num_joints)))
+    return Draws(
+        None, None, None, None, None, None, None, None, np.zeros((count, 3)), turn, np.zeros((count, num_joints))
+    )  # fmt: skip
 
 
 def draw(ranges: Randomisation, rng: np.random.Generator, count: int, num_joints: int, num_bodies: int) -> Draws:
@@ -155,7 +160,7 @@ def draw(ranges: Randomisation, rng: np.random.Generator, count: int, num_joints
         latency=uniform(ranges.latency), stiffness=factor(ranges.stiffness, 1) * np.ones(num_joints),
         damping=factor(ranges.damping, 1) * np.ones(num_joints), voltage=factor(ranges.voltage),
         friction=factor(ranges.friction), contact_time=factor(ranges.contact_time),
-        mass=factor(ranges.mass, num_bodies), gyro_bias=within(ranges.gyro_bias, 3),
+        mass=factor(ranges.mass, num_bodies), skin=factor(ranges.skin), gyro_bias=within(ranges.gyro_bias, 3),
         imu_turn=_turns(within(ranges.imu_turn, 3)), encoder_offset=within(ranges.encoder_offset, num_joints),
         push_speed=ranges.push_speed if ranges.push_speed > 0 else None, push_every=ranges.push_every,
         noise=ranges.noise,
@@ -226,10 +231,20 @@ def apply(herd: Herd, ids: NDArray[np.intp], draws: Draws) -> None:
     if draws.contact_time is not None:
         for field in ("geom_solref", "flex_solref")[: 2 if model.nflex else 1]:
             many.expand(field)[ids, :, 0] = getattr(model, field)[:, 0] * draws.contact_time[:, None]
+    if draws.skin is not None and has_pads(model):
+        slides = _slides(model)
+        for field in ("jnt_stiffness", "dof_damping"):
+            which = slides if field == "jnt_stiffness" else slides[model.dof_jntid]
+            many.expand(field)[ids] = getattr(model, field) * np.where(which, draws.skin[:, None], 1.0)
     if draws.mass is not None:
         many.expand("body_mass")[ids, 1:] = model.body_mass[1:] * draws.mass
         many.expand("body_inertia")[ids, 1:] = model.body_inertia[1:] * draws.mass[..., None]
         many.set_const(ids)
+
+
+def has_pads(model: mujoco.MjModel) -> bool:
+    """Whether its links stand on sprung pads."""
+    return bool(_slides(model).any()) and model.nflex == 0
 
 
 def push(herd: Herd, ids: NDArray[np.intp], speed: float, rng: np.random.Generator) -> None:
@@ -242,6 +257,11 @@ def pushed(draws: Draws, period: float, rng: np.random.Generator) -> NDArray[np.
     """Which copies are pushed in a control period [s]: each with probability period / push_every."""
     count = len(draws.gyro_bias)
     return np.flatnonzero(rng.random(count) < period / draws.push_every)
+
+
+def _slides(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which joints are the slides of pads, or of the nodes of a block, which have no springs."""
+    return np.asarray(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def _turns(vectors: Array) -> Array:

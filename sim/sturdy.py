@@ -22,11 +22,18 @@ from sim.randomisation import EXACT, WIDE, Draws, Randomisation, at_end, draw, j
 from sim.rollout import Behaviour, measure, settle
 
 Array = NDArray[np.float64]
+Walks = list[Behaviour | None]  # None where the physics exploded
+Robots = tuple[Model, Array, Draws]  # a model, its settled state, and one row for each robot that is drawn of it
 
 STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` and the commands that train
 SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
-DRAWN = 3  # walks of a gait with everything drawn, and with pushes
-BRIEF = 3  # walks on the model in the first half of the search: as it is, and at both ends of friction
+BRIEF = 0.4  # share of the generations that are tried in brief
+FINALISTS, LEFT = 4, 2  # the best of as many generations walk once more; and how many of those are left
+DRAWN = 6  # walks of a gait with everything drawn, and with pushes ...
+PUSH_EVERY = 2.0  # ... about so often, since walks are short [s]
+FEW = 3  # walks on the model that every gait makes: as it is, and at both ends of friction
+BEHIND = 1e-6  # what tells a gait that was tried on a few robots from the last that was tried on all [m/s]
+FALLS = 1.5  # times the share of the walks with pushes that end in a fall is lost of the score
 FALLEN = 0.5  # what is left of the speed of a walk that falls at the very end
 
 
@@ -36,12 +43,13 @@ class Course:
 
     Attributes:
         model: of the robot, made by `sim.herd.with_latency_room`.
-        others: the same robot modelled otherwise, on each of which it walks once.
+        others: the same robot modelled otherwise, on each of which it walks as it is and at both ends of its stiffness.
         pace: how fast it is to be [m/s].
         ranges: what the robots may differ in.
         seed: of all that is drawn.
         seconds: of each walk.
-        generations: of the CMA-ES, the first half of them on a few of the robots.
+        generations: of the CMA-ES. In the first two fifths of them gaits walk on a few of the robots only, then the
+            better half of each on all.
         population: gaits of each.
     """
 
@@ -51,27 +59,31 @@ class Course:
     ranges: Randomisation = WIDE
     seed: int = 0
     seconds: float = 4.0
-    generations: int = 36
+    generations: int = 44
     population: int = 10
 
-    def __call__(self, gait: Gait) -> Trial:
-        """The best of a search about a gait, which is itself among the finalists.
+    def __call__(self, gait: Gait) -> tuple[Trial, ...]:
+        """The best two of a search about a gait, which is itself among the finalists; the best comes first.
 
         Finalists walk for twice as long, on other robots than those of the search and under other pushes.
         """
-        walker, rng = _Walker(self, 0), np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(STURDY,)))
+        walker = _Walker(self, 0)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(STURDY, 0)))
         given = encode(walker.drive, gait)
-        finalists, best = [given], -np.inf
+        found: list[tuple[float, Array]] = []
         strategy = strategy_about(given, SPREAD, self.population, rng)
         for generation in range(self.generations):
-            points, brief = strategy.ask(), generation < self.generations // 2
-            trials = walker.trials(points, brief=brief)
+            brief = generation < BRIEF * self.generations
+            points = strategy.ask()
+            trials = walker.brief(points) if brief else walker.halved(points)
             strategy.tell(points, [-trial.score for trial in trials])
             top = max(range(len(trials)), key=lambda k: trials[k].score)
-            if not brief and trials[top].score > best:
-                finalists, best = [given, points[top]], trials[top].score
+            if not brief:
+                found.append((trials[top].score, points[top]))
+        best = sorted(found, key=lambda pair: -pair[0])[:FINALISTS]
         final = _Walker(replace(self, seconds=2 * self.seconds), 1)
-        return max(final.trials([*finalists, strategy.mean]), key=lambda trial: trial.score)
+        tried = final.trials([given, *(point for _, point in best), strategy.mean])
+        return tuple(sorted(tried, key=lambda trial: -trial.score)[:LEFT])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,8 +93,8 @@ class Trial:
     Attributes:
         gait: tried.
         heading: its direction on the model as it is [rad].
-        score: mean of the least worth of all its walks and of their mean [m/s], see `worth`; no more than minus the
-            pace where the physics of the model itself exploded.
+        score: mean of the worth of all its walks, see `worth`, and of the least of those without pushes, less for falls
+            in those with pushes [m/s]; no more than minus the pace where the physics of the model itself exploded.
         least: that least worth [m/s].
     """
 
@@ -101,10 +113,14 @@ class _Walker:
         self.course, self._number = course, number
         self.drive, self._length = drive_of(model), body_length(model)
         start, ends = settle(model), _ends(course.ranges)
-        others = [(other, settle(other), self._drawn(other, EXACT)) for other in course.others]
-        drawn = (model, start, self._drawn(model, *[course.ranges] * DRAWN))
-        self.robots = [(model, start, self._drawn(model, *ends)), drawn, *others]
-        self.few = [(model, start, self._drawn(model, *ends[:BRIEF])), *others]
+        others = [(other, settle(other)) for other in course.others]
+        skins = [at_end(course.ranges, end, "skin") for end in (0, 1)]
+        pushed = [replace(course.ranges, push_every=PUSH_EVERY)] * DRAWN
+        self._few = [(model, start, self._drawn(model, *ends[:FEW]))]
+        self._few += [(*other, self._drawn(other[0], EXACT)) for other in others]
+        self._pushed = [(model, start, self._drawn(model, *pushed))]
+        self._rest = [(model, start, self._drawn(model, *ends[FEW:]))]
+        self._rest += [(*other, self._drawn(other[0], *skins)) for other in others]
 
     def _rng(self, purpose: int) -> np.random.Generator:
         key = (STURDY, 1 + self._number, purpose)
@@ -114,11 +130,41 @@ class _Walker:
         rng = self._rng(0)
         return joined([draw(place, rng, 1, robot.nu, robot.nbody - 1) for place in places])
 
-    def trials(self, points: Sequence[Array], *, brief: bool = False) -> list[Trial]:
-        """How the gaits that points stand for do, all at once; on a few of the robots only if `brief`."""
+    def trials(self, points: Sequence[Array]) -> list[Trial]:
+        """How the gaits that points stand for do on all robots."""
+        return self._tried(points, self._walked(points, [*self._few, *self._rest]), self._walked(points, self._pushed))
+
+    def brief(self, points: Sequence[Array]) -> list[Trial]:
+        """The same on a few of the robots."""
+        return self._tried(points, self._walked(points, self._few))
+
+    def halved(self, points: Sequence[Array]) -> list[Trial]:
+        """The same on all robots for the half that does better on a few; the others come behind, as those few say."""
+        few = self._walked(points, self._few)
+        brief = self._tried(points, few)
+        order = sorted(range(len(points)), key=lambda k: -brief[k].score)
+        better, worse = order[: -(-len(order) // 2)], order[-(-len(order) // 2) :]
+        chosen = [points[k] for k in better]
+        rest = self._walked(chosen, self._rest)
+        walks = [few[k] + more for k, more in zip(better, rest, strict=True)]
+        found = self._tried(chosen, walks, self._walked(chosen, self._pushed))
+        last = min(trial.score for trial in found) - brief[better[-1]].score
+        trials = dict(zip(better, found, strict=True))
+        trials |= {k: replace(brief[k], score=last + brief[k].score - BEHIND) for k in worse}
+        return [trials[k] for k in range(len(points))]
+
+    def _tried(
+        self, points: Sequence[Array], walks: Sequence[Walks], pushed: Sequence[Walks] | None = None
+    ) -> list[Trial]:  # fmt: skip
         gaits = [decode(self.drive, point) for point in points]
-        walks: list[list[Behaviour | None]] = [[] for _ in gaits]
-        for model, start, draws in self.few if brief else self.robots:
+        pushed = [[] for _ in gaits] if pushed is None else pushed
+        return [trial_of(*each, self.course.pace) for each in zip(gaits, walks, pushed, strict=True)]
+
+    def _walked(self, points: Sequence[Array], robots: Sequence[Robots]) -> list[Walks]:
+        """All walks of every gait, all gaits at once."""
+        gaits = [decode(self.drive, point) for point in points]
+        walks: list[Walks] = [[] for _ in gaits]
+        for model, start, draws in robots:
             count = len(draws.encoder_offset)
             rollouts = roll_out_actor(
                 model, _Chorus(gaits, count, action_map(model)), self.course.seconds, copies=count * len(gaits),
@@ -127,15 +173,18 @@ class _Walker:
             found = measure(model, rollouts, self._length)
             for k, own in enumerate(walks):
                 own += found[k * count : (k + 1) * count]
-        return [trial_of(gait, own, self.course.pace) for gait, own in zip(gaits, walks, strict=True)]
+        return walks
 
 
-def trial_of(gait: Gait, walks: Sequence[Behaviour | None], pace: float) -> Trial:
-    """What walks say of a gait, the first of them on the model as it is."""
+def trial_of(gait: Gait, walks: Walks, pushed: Walks, pace: float) -> Trial:
+    """What walks say of a gait, the first of them on the model as it is, and others with pushes."""
     if walks[0] is None:
         return Trial(gait, 0.0, -pace, -pace)
-    worths = np.array([worth(walk, walks[0].heading, pace) for walk in walks])
-    return Trial(gait, walks[0].heading, float(worths.mean() + worths.min()) / 2, float(worths.min()))
+    heading = walks[0].heading
+    worths = [worth(walk, heading, pace) for walk in walks]
+    mean, least = np.mean([*worths, *(worth(walk, heading, pace) for walk in pushed)]), min(worths)
+    fallen = sum(walk is None or walk.fell for walk in pushed) / max(len(pushed), 1)
+    return Trial(gait, heading, float(mean + least) / 2 * max(0.0, 1.0 - FALLS * fallen), least)
 
 
 def worth(walk: Behaviour | None, heading: float, pace: float) -> float:

@@ -13,15 +13,13 @@ from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
 from sim.learning import USUAL, Learner, Ppo
 from sim.mixture import Mixture
 from sim.model import Model
-from sim.randomisation import WIDE, Randomisation
-from sim.rollout import settle
+from sim.randomisation import RANDOMISED, WIDE, Randomisation
 from sim.tasks import FAST, SCALE, Task
-from sim.verdict import Verdict, evaluate, shared_out, verdict_of
+from sim.verdict import Verdict, evaluate, shared_out, stood, verdict_of
 
 Array = NDArray[np.float64]
 
 LEARN = 0  # purpose of randomness; 1 is that of `sim.verdict`, 2 that of `sim.race`
-CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +35,11 @@ class Training:
         randomisation: what each episode draws; None trains on the model as it is.
         episode: how episodes run.
         rhythm_spread: of the first exploration about a rhythm over that of a free start.
+        rhythm_reach: farthest that an action of 1 goes from a rhythm [rad].
         rhythm_rate: of the learning rate about a rhythm over that of a free start.
         last_spread: standard deviation of what the policy says at the end.
         share: of the copies and of the episodes of an evaluation that have another model of the robot, if there is one.
+        claimed: what the policy is to bear: the best is chosen by that, while training may go beyond it.
     """
 
     seed: int = 0
@@ -50,15 +50,17 @@ class Training:
     randomisation: Randomisation | None = WIDE
     episode: Episode = TEN_SECONDS
     rhythm_spread: float = 2 / 3
+    rhythm_reach: float = 0.45
     rhythm_rate: float = 1.0
     last_spread: float = 0.08
     share: float = 0.25
+    claimed: Randomisation = RANDOMISED
 
     def __post_init__(self) -> None:
         """Check the bounds."""
         if self.steps < 1 or self.chunk < 1:
             raise ValueError(f"training: steps {self.steps} and chunk {self.chunk} must be 1 or more")
-        for name in ("rhythm_spread", "rhythm_rate"):
+        for name in ("rhythm_spread", "rhythm_reach", "rhythm_rate"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"training: {name} is {getattr(self, name)}; it must lie in (0, 1]")
         if not 0.01 <= self.last_spread <= self.ppo.spread:
@@ -140,6 +142,7 @@ class Trainer:
         start: Start,
         *,
         others: Sequence[Model] = (),
+        checks: Sequence[Model] = (),
         nthread: int = 1,
         learned: Mapping[str, Array] | None = None,
     ) -> None:
@@ -150,27 +153,30 @@ class Trainer:
             training: what to do.
             start: what it begins with.
             others: the same robot modelled otherwise; a share of the experience and of the evaluation is on them.
+            checks: models of it that no experience is on, but the choice of the best asks for them, too.
             nthread: threads of the physics; it changes no result.
             learned: state of a learner that began with the same start, to go on with; None begins from nothing.
         """
         self.model, self.training, self.start, self.nthread = model, training, start, nthread
-        self.others = tuple(others)
-        self.environment = mixture_of(model, self.others, training, start, nthread)
+        self._stood = stood(model)
+        self._others, self._checks = tuple(map(stood, others)), tuple(map(stood, checks))
+        self.environment = mixture_of(model, others, training, start, nthread)
         self.learner = Learner(self.environment, training.ppo, training.seed)
         if learned:
             self.learner.restore(learned)
         self.done = 0  # chunks
         self.best: Perceptron | None = None
         self.best_verdict: Verdict | None = None
-        self._settled = settle(model)
 
     def actor(self) -> Perceptron:
         """The policy as it is now."""
         return self.learner.exported()
 
     def advance(self) -> Chunk:
-        """Run the next chunk and evaluate the policy after it."""
+        """Run the next chunk and evaluate the policy after it; a rhythm as it is comes first."""
         training, index = self.training, self.done
+        if self.best is None and self.start.rhythm is not None:
+            self._consider(self.actor().silenced())
         progress = index / training.chunks
         # Explore widely first; a policy that leans on its own noise to move would stand still without it.
         first = first_spread(training, self.start)
@@ -180,13 +186,17 @@ class Trainer:
         steps = min(training.chunk, training.steps - index * training.chunk)
         curves, seconds = self.learner.learn(steps, rng, rate, spread)
         self.done += 1
-        actor = self.actor()
-        verdict = evaluate(self.model, actor, training, self.nthread, self._settled, self.others)
-        if self.best_verdict is None or verdict.score > self.best_verdict.score:
-            self.best, self.best_verdict = actor, verdict
+        verdict = self._consider(self.actor())
         return Chunk(
             index, training.simulated(self.done), seconds, curves.get("speed", 0.0) / SCALE / 2.0, curves, verdict
         )
+
+    def _consider(self, actor: Perceptron) -> Verdict:
+        """Judge a policy, and keep it if it is the best so far."""
+        verdict = evaluate(self._stood, actor, self.training, self.nthread, self._others, self._checks)
+        if self.best_verdict is None or verdict.score > self.best_verdict.score:
+            self.best, self.best_verdict = actor, verdict
+        return verdict
 
     def state(self) -> dict[str, Array]:
         """All that a later process needs to go on, as named arrays."""
@@ -219,7 +229,7 @@ def environment_of(
     model: Model, training: Training, start: Start, nthread: int = 1, count: int | None = None
 ) -> Environment:
     """Where a training from a start takes place, with so many copies, all of the learner's by default."""
-    reach = REACH if start.rhythm is None else CORRECTION
+    reach = REACH if start.rhythm is None else training.rhythm_reach
     return Environment(
         model, training.ppo.copies if count is None else count, replace(training.task, heading=start.heading),
         action_map(model, start.posture, reach), training.randomisation, training.episode, start.rhythm, nthread,

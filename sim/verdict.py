@@ -13,7 +13,7 @@ from sim.actor import Actor, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import Environment
 from sim.model import Model
-from sim.randomisation import EXACT, WIDE, Randomisation, corners, draw, joined
+from sim.randomisation import EXACT, WIDE, Randomisation, corners, draw, has_pads, joined
 from sim.rollout import Behaviour, measure, settle
 from sim.tasks import Goal
 
@@ -24,8 +24,24 @@ Array = NDArray[np.float64]
 
 EVALUATE = 1  # purpose of randomness beside those of `sim.training` and `sim.race`
 EPISODES, EVALUATION_SECONDS = 20, 10.0  # randomised episodes of an evaluation, and the length of all its walks [s]
-WALKS = 4  # of every corner; one walk says little about a walk that is nearly the same
+FALL_WEIGHT = 2.0  # of the share of episodes with a fall in the score: a fall ends more than its own episode
+LEAST_KEPT = 0.05  # policies that keep less in some corner are still told apart by their speed
+WALKS, PAD_WALKS = 4, 10  # of every corner; one walk says little about a walk that is nearly the same
 HAIR = 0.004  # by which joints read wrong, so that those differ [rad]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Stood:
+    """A robot, the full state in which it stands still, and how often it walks at every corner."""
+
+    model: Model
+    start: Array
+    walks: int = WALKS
+
+
+def stood(model: Model) -> Stood:
+    """The robot once it has settled; walks on pads differ most and are cheap, so there are more of them."""
+    return Stood(model, settle(model), PAD_WALKS if has_pads(model) else WALKS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +77,9 @@ class Verdict:
         """
         if self.reward is not None:
             return self.reward
-        standing = 1.0 - self.falls / max(self.episodes, 1)
+        standing = max(0.0, 1.0 - FALL_WEIGHT * self.falls / max(self.episodes, 1))
         speed, robust = min(self.speed, self.target), min(self.robust_speed, self.target)
-        return standing * ((speed + robust) / 2 if self.kept is None else speed * min(self.kept, 1.0))
+        return standing * ((speed + robust) / 2 if self.kept is None else speed * min(max(self.kept, LEAST_KEPT), 1.0))
 
     def array(self) -> Array:
         """As numbers, for a checkpoint; what is None is not a number."""
@@ -83,52 +99,50 @@ def verdict_of(array: Array) -> Verdict:
 
 
 def evaluate(
-    model: Model, actor: Perceptron, training: Training, nthread: int = 1, start: Array | None = None,
-    others: Sequence[Model] = (), *, cornered: bool = True,
+    robot: Stood, actor: Perceptron, training: Training, nthread: int = 1, others: Sequence[Stood] = (),
+    checks: Sequence[Stood] = (), *, cornered: bool = True,
 ) -> Verdict:  # fmt: skip
     """Measure a policy without exploration: once on the model as it is, in randomised episodes, and by its task.
 
-    The draws are the same for every policy of a training, so that verdicts differ by the policy alone. Where `cornered`
-    and the task is speed, it walks at each end of each range, and on the other models, too.
+    The draws are the same for every policy of a training, so that verdicts differ by the policy alone. A share of the
+    episodes is on `others`. Where `cornered` and the task is speed, it walks at each end of each range, and on the
+    models `checks`, too. All ranges are those that are claimed, which training may go beyond.
     """
-    start = settle(model) if start is None else start
-    plain = measure(model, roll_out_actor(model, actor, EVALUATION_SECONDS, start=start))[0]
+    plain = measure(robot.model, roll_out_actor(robot.model, actor, EVALUATION_SECONDS, start=robot.start))[0]
     behaviours: list[Behaviour | None] = []
-    starts = (start, *(settle(other) for other in others))
     counts = shared_out(EPISODES, training.share, len(others))
-    ranges = training.randomisation or WIDE
-    for robot, count, at in zip((model, *others), counts, starts, strict=True):
-        behaviours += randomised(robot, actor, ranges, training.seed, episodes=count, seconds=EVALUATION_SECONDS,
-                                 start=at, nthread=nthread)  # fmt: skip
+    for other, count in zip((robot, *others), counts, strict=True):
+        behaviours += randomised(other.model, actor, training.claimed, training.seed, episodes=count,
+                                 seconds=EVALUATION_SECONDS, start=other.start, nthread=nthread)  # fmt: skip
     alive = [b for b in behaviours if b is not None]
     fast = training.task.goal is Goal.SPEED
     kept = None
     if fast and cornered:
-        places = (corners(ranges), *[(EXACT,)] * len(others))
-        speeds = [cornered_speeds(*each, actor, training.seed, nthread)
-                  for each in zip((model, *others), starts, places, strict=True)]  # fmt: skip
+        places = (corners(training.claimed), *[(EXACT,)] * len(checks))
+        speeds = [cornered_speeds(each, ends, actor, training.seed, nthread)
+                  for each, ends in zip((robot, *checks), places, strict=True)]  # fmt: skip
         kept = share_kept(np.concatenate(speeds))
     return Verdict(
         speed=0.0 if plain is None else plain.speed * plain.upright,
         robust_speed=float(sum(b.speed * b.upright for b in alive)) / len(behaviours),
         falls=sum(b.fell for b in alive), episodes=len(behaviours), lost=len(behaviours) - len(alive),
         target=training.task.target_speed, kept=kept,
-        reward=None if fast else mean_reward(model, actor, training, nthread),
+        reward=None if fast else mean_reward(robot.model, actor, training, nthread),
     )  # fmt: skip
 
 
 def cornered_speeds(
-    model: Model, start: Array, places: Sequence[Randomisation], actor: Actor, seed: int, nthread: int = 1
-) -> Array:
+    robot: Stood, places: Sequence[Randomisation], actor: Actor, seed: int, nthread: int = 1
+) -> Array:  # fmt: skip
     """Mean speed of some walks at every corner, of each the share that it was upright for [m/s], (corners,)."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EVALUATE, 1)))
-    count = len(places) * WALKS
-    draws = joined([draw(replace(p, encoder_offset=HAIR), rng, WALKS, model.nu, model.nbody - 1) for p in places])
+    model, count = robot.model, len(places) * robot.walks
+    draws = joined([draw(replace(p, encoder_offset=HAIR), rng, robot.walks, model.nu, model.nbody - 1) for p in places])
     rollouts = roll_out_actor(
-        model, actor, EVALUATION_SECONDS, copies=count, draws=draws, start=start, nthread=nthread
+        model, actor, EVALUATION_SECONDS, copies=count, draws=draws, start=robot.start, nthread=nthread
     )  # fmt: skip
     speeds = np.array([0.0 if b is None else b.speed * b.upright for b in measure(model, rollouts)])
-    return speeds.reshape(len(places), WALKS).mean(axis=1)
+    return speeds.reshape(len(places), robot.walks).mean(axis=1)
 
 
 def share_kept(speeds: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from experiments import cli
 from experiments.policy_config import Policy
-from experiments.policy_start import Impossible, best_start, candidates, gaits, sturdier, told
+from experiments.policy_start import Impossible, _judged, best_start, candidates, gaits, sturdier, told
 from sim.herd import with_latency_room
 from sim.model import body_length, load_spec
 from sim.race import Runner
@@ -58,7 +59,7 @@ def test_free_starts_go_along_the_gait_of_the_model_alone(found: Any) -> None:
 
 
 def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    here, there = (best_start(CONFIG, model, (), workers) for workers in (0, 2))
+    here, there = (best_start(CONFIG, model, (), (), workers) for workers in (0, 2))
     assert here.exploring == there.exploring
     assert here.verdict == there.verdict
     assert here.learned.keys() == there.learned.keys() != set()
@@ -72,20 +73,37 @@ def test_no_number_of_workers_changes_the_winner(model: Any, capsys: pytest.Capt
 def test_gaits_are_made_to_hold_before_they_race_by_any_number_of_workers(model: Any, found: Any) -> None:
     from msgspec.structs import replace as changed
 
-    brief = changed(CONFIG, generations=1)
+    brief = changed(CONFIG, generations=2)
     here, there = (sturdier(found, brief, model, (model,), workers) for workers in (0, 2))
     assert [(trial.score, trial.least, trial.heading) for trial in here] == [
         (trial.score, trial.least, trial.heading) for trial in there
     ]
-    assert here[0].score >= here[1].score
+    assert len(here) == 4
+    assert all(one.score >= next.score for one, next in itertools.pairwise(here))
+
+
+def test_gaits_that_hold_come_in_the_order_of_their_scores(
+    model: Any, found: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scores = iter([0.3, 0.4])
+
+    def course(_: Any, gait: Any) -> tuple[Trial, ...]:
+        best = Trial(gait, 0.0, next(scores), 0.0)
+        return best, replace(best, score=best.score - 0.15)
+
+    monkeypatch.setattr("sim.sturdy.Course.__call__", course)
+    held = sturdier(found, CONFIG, model, (), 0)
+    assert [trial.score for trial in held] == pytest.approx([0.4, 0.3, 0.25, 0.15])
+    assert [trial.gait for trial in held] == [found[k].gait for k in (1, 0, 1, 0)]
 
 
 def test_gaits_that_come_to_nothing_are_told(
     model: Any, found: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pace = CONFIG.training(model).task.target_speed
-    trials = iter([Trial(found[0].gait, 0.0, -pace, -pace), Trial(found[1].gait, 0.0, 0.1, 0.0)] * 2)
-    monkeypatch.setattr("sim.sturdy.Course.__call__", lambda *_: next(trials))
+    lost, walks = Trial(found[0].gait, 0.0, -pace, -pace), Trial(found[1].gait, 0.0, 0.1, 0.0)
+    trials = iter([lost, walks, lost])
+    monkeypatch.setattr("sim.sturdy.Course.__call__", lambda *_: (next(trials),))
     (left,) = sturdier(found, CONFIG, model, (), 0)
     assert left.gait is found[1].gait
     assert "a gait was lost: its physics explodes" in capsys.readouterr().err
@@ -93,14 +111,27 @@ def test_gaits_that_come_to_nothing_are_told(
         sturdier(found[:1], CONFIG, model, (), 0)
 
 
+def test_the_best_of_the_gaits_that_hold_races_without_a_heat(model: Any, found: Any) -> None:
+    from msgspec.structs import replace as changed
+
+    config = changed(CONFIG, generations=1)
+    starts = candidates(found[0], found, 2)
+    one, two = (_judged(config, model, (), [start], 0) for start in starts)
+    best = _judged(config, model, (), starts, 2)
+    assert one.verdict is not None
+    assert two.verdict is not None
+    assert best.verdict == max((one.verdict, two.verdict), key=lambda verdict: verdict.score)
+    assert not best.learned
+
+
 def test_a_single_start_and_other_tasks_do_not_race(model: Any) -> None:
     from msgspec.structs import replace as changed
 
-    alone = best_start(changed(CONFIG, starts=1), model, (), 0)
+    alone = best_start(changed(CONFIG, starts=1), model, (), (), 0)
     assert alone.start.rhythm is not None
-    exact = best_start(changed(CONFIG, starts=1, generations=9, randomise=False), model, (), 0)
+    exact = best_start(changed(CONFIG, starts=1, generations=9, randomise=False), model, (), (), 0)
     np.testing.assert_array_equal(exact.start.posture, alone.start.posture)
-    standing = best_start(changed(CONFIG, task="stand"), model, (), 0)
+    standing = best_start(changed(CONFIG, task="stand"), model, (), (), 0)
     assert standing.start.rhythm is None
     assert not alone.learned
     assert not standing.learned
@@ -115,7 +146,10 @@ def test_a_pace_is_one_of_the_robot_s_own_lengths(model: Any) -> None:
 
 
 def test_a_runner_is_told_in_one_line(found: Any) -> None:
-    runner = Runner(candidates(found[0], found, 1)[0], 0.123)
+    runner = Runner(candidates(found[0], found, 1)[0], 0.123, learned={"weights": np.ones(1)})
     assert told(runner).endswith("0.12 m/s exploring")
     judged = replace(runner, verdict=Verdict(0.2, 0.1, 3, 10, 0))
     assert told(judged).endswith("0.12 m/s exploring; the policy itself 0.20 m/s, 0.10 m/s randomised with 3 falls")
+    gait = Runner(runner.start, verdict=Verdict(0.2, 0.1, 3, 10, 0, kept=0.85))
+    assert "gait, heading" in told(gait)
+    assert told(gait).endswith(" rad: 0.20 m/s, 0.10 m/s randomised with 3 falls; keeps 0.85 in the worst corner")

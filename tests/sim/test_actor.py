@@ -222,3 +222,12 @@ def test_a_perceptron_refuses_what_does_not_fit(changes: dict[str, Any], message
     assert Perceptron(**fields).num_joints == 2
     with pytest.raises(ValueError, match=message):
         Perceptron(**(fields | changes))
+
+
+def test_a_silenced_policy_says_nothing_and_stays_what_it_is_otherwise() -> None:
+    policy = perceptron(3, history=2)
+    silent = policy.silenced()
+    seen = np.random.default_rng(0).normal(size=(5, policy.layout.size))
+    np.testing.assert_array_equal(silent.say(seen), np.zeros((5, 3)))
+    assert policy.say(seen).any()
+    assert (silent.layout, silent.actions, silent.rhythm) == (policy.layout, policy.actions, policy.rhythm)

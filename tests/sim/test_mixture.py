@@ -51,6 +51,19 @@ def test_it_is_its_parts_row_by_row(models: tuple[Any, Any]) -> None:
     assert ended > 0
 
 
+def test_the_critic_is_told_which_model_a_copy_is(models: tuple[Any, Any]) -> None:
+    mixed, alone = Mixture(parts(models)), parts(models)
+    mixed.reset(np.random.default_rng(1))
+    for part, child in zip(alone, np.random.default_rng(1).spawn(2), strict=True):
+        part.reset(child)
+    unseen = mixed.hidden()
+    assert unseen.shape == (5, mixed.hidden_size)
+    np.testing.assert_array_equal(unseen[:, 0], [0, 0, 0, 1, 1])
+    np.testing.assert_array_equal(unseen[:, 1:], np.concatenate([part.hidden()[:, 1:] for part in alone]))
+    step = mixed.step(np.zeros((5, mixed.map.num_joints)))
+    np.testing.assert_array_equal(step.hidden, mixed.hidden())
+
+
 def test_what_is_lost_is_counted_and_kept_for_all(models: tuple[Any, Any]) -> None:
     mixed = Mixture(parts(models))
     mixed.reset(np.random.default_rng(0))

@@ -13,9 +13,9 @@ from trainings_in_brief import CORRECTED, FREE, GAIT, SMALL
 from mfg.description import Description
 from sim.herd import with_latency_room
 from sim.model import make_spec
-from sim.race import Heat, Runner, headings, speed, starts, winner
+from sim.race import AsItIs, Heat, Runner, headings, speed, starts, winner
 from sim.training import Trainer
-from sim.verdict import Verdict
+from sim.verdict import Verdict, stood
 
 pytestmark = pytest.mark.usefixtures("short_evaluation")
 
@@ -90,3 +90,23 @@ def test_the_speed_of_a_start_is_that_of_a_heat_without_a_verdict(model: Any) ->
     assert unjudged.verdict is None
     assert unjudged.merit == unjudged.exploring == judged.exploring == speed(model, SMALL, 96, FREE)
     assert np.isfinite(unjudged.exploring)
+
+
+def test_a_gait_is_judged_without_a_heat_and_can_be_sent(model: Any) -> None:
+    judge = AsItIs(stood(model), (), SMALL)
+    runner = judge(CORRECTED)
+    assert runner.verdict is not None
+    assert runner.verdict.kept is not None
+    assert not runner.learned
+    assert pickle.loads(pickle.dumps(judge))(CORRECTED).verdict == runner.verdict
+    # As the policy that knows nothing yet would do if it said nothing: the learner's seed has no part in it.
+    other = replace(SMALL, ppo=replace(SMALL.ppo, units=8))
+    assert replace(judge, training=other)(CORRECTED).verdict == runner.verdict
+
+
+def test_a_gait_as_it_is_races_by_its_score_without_the_corner() -> None:
+    verdict = Verdict(0.3, 0.2, 1, 10, 0, 1.0, kept=0.1)
+    gait = Runner(CORRECTED, verdict=verdict)
+    assert gait.merit == pytest.approx(0.25 * 0.8)
+    learned = Runner(FREE, 0.1, verdict, {"weights": np.ones(1)})
+    assert learned.merit == pytest.approx((0.1 + 0.2) / 2)

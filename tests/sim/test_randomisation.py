@@ -46,7 +46,7 @@ def arrays(draws: Draws) -> dict[str, np.ndarray]:
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
 
-FACTORS = ("stiffness", "damping", "voltage", "friction", "contact_time", "mass")
+FACTORS = ("stiffness", "damping", "voltage", "friction", "contact_time", "mass", "skin")
 
 
 @pytest.mark.parametrize("name", FACTORS)
@@ -245,7 +245,8 @@ def test_every_corner_is_the_robot_as_it_is_but_for_one_end_of_a_range() -> None
             low, high = getattr(corner, name)
             assert low == high
             ends.add((name, getattr(RANDOMISED, name).index(low)))
-    assert ends == {(name, end) for name in FACTORS for end in (0, 1)} - {("voltage", 1)} | {("latency", 1)}
+    both = {(name, end) for name in FACTORS if name != "skin" for end in (0, 1)}
+    assert ends == both - {("voltage", 1)} | {("latency", 1)}
 
 
 def test_draws_are_joined_row_by_row() -> None:
@@ -254,3 +255,31 @@ def test_draws_are_joined_row_by_row() -> None:
         assert_allclose(value, np.concatenate([arrays(one)[name], arrays(two)[name]]))
     with pytest.raises(ValueError, match="only some of the draws have latency"):
         joined([nominal(2, 4), one])
+
+
+def test_pads_get_as_stiff_as_they_are_drawn_and_nothing_else_does(quadruped: Description) -> None:
+    links = tuple(replace(link, skin_thickness=0.02) for link in quadruped.links)
+    sprung = with_latency_room(make_spec(replace(quadruped, links=links), fidelity=Fidelity.SPRUNG))
+    herd = Herd(sprung, 2)
+    draws = draw(EXACT, np.random.default_rng(0), 2, sprung.nu, sprung.nbody - 1)
+    apply(herd, np.arange(2), replace(draws, skin=np.array([0.25, 1.0])))
+    slides = sprung.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    assert slides.sum() == 15
+    for field, which in (("jnt_stiffness", slides), ("dof_damping", slides[sprung.dof_jntid])):
+        own, given = getattr(sprung, field), herd.batch.expand(field)
+        assert_allclose(given[0], own * np.where(which, 0.25, 1.0))
+        assert_allclose(given[1], own)
+
+
+def test_a_softer_skin_sags_by_as_much_more(quadruped: Description) -> None:
+    links = tuple(replace(link, skin_thickness=0.02) for link in quadruped.links)
+    sprung = with_latency_room(make_spec(replace(quadruped, links=links), fidelity=Fidelity.SPRUNG))
+    herd = Herd(sprung, 3)
+    draws = draw(EXACT, np.random.default_rng(0), 3, sprung.nu, sprung.nbody - 1)
+    apply(herd, np.arange(3), replace(draws, skin=np.array([0.5, 1.0, 1e6])))
+    herd.place(np.arange(3), np.repeat(settle(sprung)[None], 3, axis=0))
+    for _ in range(200):
+        herd.advance(np.repeat(sprung.key_ctrl[:1] if sprung.nkey else np.zeros((1, sprung.nu)), 3, axis=0))
+    soft, usual, rigid = herd.qpos[:, 2]
+    assert rigid > usual > soft
+    assert (rigid - soft) / (rigid - usual) == pytest.approx(2.0, rel=0.1)

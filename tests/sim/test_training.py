@@ -78,8 +78,10 @@ def test_a_share_of_the_experience_is_on_other_models(model: Any, sprung: Any, w
 def test_the_exported_policy_says_what_the_learner_means(whole: Trainer) -> None:
     actor, policy = whole.actor(), whole.learner.ppo.policy
     seen = np.random.default_rng(0).normal(size=(50, actor.layout.size))
+    unseen = np.random.default_rng(1).normal(size=(50, whole.environment.hidden_size))
     with torch.no_grad():
-        meant = policy.get_distribution(torch.tensor(seen, dtype=torch.float32)).mode().numpy()
+        both = torch.tensor(np.hstack([seen, unseen]), dtype=torch.float32)
+        meant = policy.get_distribution(both).mode().numpy()
     np.testing.assert_allclose(actor.say(seen), meant, atol=1e-5)
 
 
@@ -106,6 +108,26 @@ def test_the_best_so_far_has_the_best_verdict(model: Any, monkeypatch: pytest.Mo
     for (W, _), (best, _), (last, _) in zip(actors[1].layers, trainer.best.layers, actors[2].layers, strict=True):
         np.testing.assert_array_equal(best, W)
         assert not np.array_equal(best, last)
+
+
+def test_a_gait_as_it_is_comes_first_and_stays_until_a_policy_does_better(
+    model: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    speeds = iter([0.3, 0.2, 0.4])
+    monkeypatch.setattr("sim.training.evaluate", lambda *_, **__: Verdict(s := next(speeds), s, 0, 10, 0))
+    trainer = run(model, CORRECTED, chunks=1)
+    assert trainer.best is not None
+    assert trainer.best.rhythm is GAIT
+    assert not trainer.best.layers[-1][0].any()
+    assert trainer.best_verdict is not None
+    assert trainer.best_verdict.speed == 0.3
+    later = Trainer(model, SMALL, CORRECTED)
+    later.restore(trainer.state())
+    later.advance()
+    assert later.best_verdict is not None
+    assert later.best_verdict.speed == 0.4
+    assert later.best is not None
+    assert later.best.layers[-1][0].any()
 
 
 def test_a_policy_that_is_fast_on_the_model_alone_is_not_kept(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
