@@ -49,13 +49,13 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
     steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 600_000
-    generations: Annotated[int, Meta(ge=0, le=10_000)] = 44
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 48
     starts: Annotated[int, Meta(ge=1, le=16)] = 3
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 160_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.6
+    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.7
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
     pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.35  # 7 of the 20 episodes that choose the best

@@ -70,7 +70,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=int, help="how many starts race: a gait, free headings (3)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
-    parser.add_argument("--pace", type=float, metavar="V", help="how fast it is to be (0.6 body lengths a second)")
+    parser.add_argument("--pace", type=float, metavar="V", help="how fast it is to be (0.7 body lengths a second)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
     parser.add_argument("--pads", type=float, metavar="SHARE", help="of the robots on sprung pads (0.35)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")

@@ -29,11 +29,10 @@ STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` a
 SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
 BRIEF = 0.4  # share of the generations that are tried in brief
 FINALISTS, LEFT = 4, 2  # the best of as many generations walk once more; and how many of those are left
-DRAWN = 6  # walks of a gait with everything drawn, and with pushes ...
+DRAWN = 4  # walks of a gait with everything drawn, and with pushes ...
 PUSH_EVERY = 2.0  # ... about so often, since walks are short [s]
 FEW = 3  # walks on the model that every gait makes: as it is, and at both ends of friction
 BEHIND = 1e-6  # what tells a gait that was tried on a few robots from the last that was tried on all [m/s]
-FALLS = 1.5  # times the share of the walks with pushes that end in a fall is lost of the score
 FALLEN = 0.5  # what is left of the speed of a walk that falls at the very end
 
 
@@ -59,7 +58,7 @@ class Course:
     ranges: Randomisation = WIDE
     seed: int = 0
     seconds: float = 4.0
-    generations: int = 44
+    generations: int = 48
     population: int = 10
 
     def __call__(self, gait: Gait) -> tuple[Trial, ...]:
@@ -93,8 +92,8 @@ class Trial:
     Attributes:
         gait: tried.
         heading: its direction on the model as it is [rad].
-        score: mean of the worth of all its walks, see `worth`, and of the least of those without pushes, less for falls
-            in those with pushes [m/s]; no more than minus the pace where the physics of the model itself exploded.
+        score: mean of the worth of all its walks, see `worth`, and of the least of those without pushes, in which falls
+            are chance [m/s]; no more than minus the pace where the physics of the model itself exploded.
         least: that least worth [m/s].
     """
 
@@ -183,8 +182,7 @@ def trial_of(gait: Gait, walks: Walks, pushed: Walks, pace: float) -> Trial:
     heading = walks[0].heading
     worths = [worth(walk, heading, pace) for walk in walks]
     mean, least = np.mean([*worths, *(worth(walk, heading, pace) for walk in pushed)]), min(worths)
-    fallen = sum(walk is None or walk.fell for walk in pushed) / max(len(pushed), 1)
-    return Trial(gait, heading, float(mean + least) / 2 * max(0.0, 1.0 - FALLS * fallen), least)
+    return Trial(gait, heading, float(mean + least) / 2, least)
 
 
 def worth(walk: Behaviour | None, heading: float, pace: float) -> float:
