@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sim.race import Runner
     from sim.sturdy import Course, Trial
     from sim.training import Start
+    from sim.verdict import Verdict
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -104,8 +105,8 @@ def sturdier(
     from sim.sturdy import Course
 
     training = config.training(model)
-    course = Course(model, tuple(others), training.task.target_speed, training.randomisation or EXACT, config.seed,
-                    generations=config.generations)  # fmt: skip
+    course = Course(model, tuple(others), training.task.target_speed, config.generations,
+                    training.randomisation or EXACT, config.seed)  # fmt: skip
     say("making them hold where friction, contact, latency, gains and the ground differ")
     left = _tried(course, [result.gait for result in found], config.robot, workers)
     return sorted((trial for trials in left for trial in trials), key=lambda trial: -trial.score)
@@ -195,6 +196,11 @@ def _in_order(pool: Pool[Task, Result], tasks: Sequence[Task], label: str) -> tu
     return [done[place] for place in sorted(done)], trouble
 
 
+def worst_corner(verdict: Verdict) -> str:
+    """What is kept in the worst corner, as the end of a line."""
+    return "" if verdict.kept is None else f"; keeps {verdict.kept:.2f} in the worst corner"
+
+
 def told(runner: Runner) -> str:
     """A runner in one line."""
     kind = "free" if runner.start.rhythm is None else "gait corrected" if runner.learned else "gait"
@@ -204,6 +210,7 @@ def told(runner: Runner) -> str:
     v = runner.verdict
     if v is None:
         return line
-    kept = "" if v.kept is None else f"; keeps {v.kept:.2f} in the worst corner"
     policy = "; the policy itself" if runner.learned else ""
-    return f"{line}{policy} {v.speed:.2f} m/s, {v.robust_speed:.2f} m/s randomised with {v.falls} falls{kept}"
+    return (
+        f"{line}{policy} {v.speed:.2f} m/s, {v.robust_speed:.2f} m/s randomised with {v.falls} falls{worst_corner(v)}"
+    )

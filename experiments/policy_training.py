@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from experiments.events import Events, event_file
 from experiments.output import BadInput, progress, say
-from experiments.policy_start import Impossible, best_start
+from experiments.policy_start import Impossible, best_start, worst_corner
 from experiments.run_folder import CHECKPOINT, CONFIG, RESULT, check_folder, keep_config, write_json
 
 if TYPE_CHECKING:
@@ -134,6 +134,8 @@ def _others(config: Policy, source: Path) -> tuple[tuple[Model, ...], tuple[Mode
     if not (config.randomise and config.pads > 0):
         return (), ()
     pads = _model(config, source, "sprung")
+    if config.task != "speed":
+        return (pads,), ()  # other tasks are chosen by their reward
     try:
         return (pads,), (pads, _model(config, source, "flex"))
     except BadInput as trouble:
@@ -216,9 +218,8 @@ def curves(chunk: Chunk) -> dict[str, float]:
 def told(chunk: Chunk) -> str:
     """A chunk in one line."""
     v = chunk.verdict
-    kept = "" if v.kept is None else f"; keeps {v.kept:.2f} in the worst corner"
     return (f"{chunk.steps:>9} steps: {chunk.exploring_speed:.2f} m/s exploring; the policy itself {v.speed:.2f} m/s, "
-            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}{kept}")  # fmt: skip
+            f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}{worst_corner(v)}")  # fmt: skip
 
 
 def write_state(path: Path, state: dict[str, Array]) -> None:

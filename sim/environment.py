@@ -76,8 +76,7 @@ class Step:
         terminated: the robot fell or was lost, (k,).
         truncated: its time was up, (k,).
         last: observation with which the ended episodes ended, (number of those, size), in the order of copies.
-        hidden: what only the simulator knows of the state after it, as `Environment.hidden`, (k, hidden_size).
-        last_hidden: the same of the ends of the ended episodes, (number of those, hidden_size).
+        last_hidden: what only the simulator knew then, see `Environment.hidden`, (number of those, hidden_size).
         lengths: of the ended episodes [periods].
         returns: sums of reward of the ended episodes.
         parts: mean of every part of the reward over the copies.
@@ -88,7 +87,6 @@ class Step:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     last: Array
-    hidden: Array
     last_hidden: Array
     lengths: NDArray[np.int64]
     returns: Array
@@ -208,15 +206,16 @@ class Environment:
         self._note(gone, state, control)
         observation = senses.see(herd, self._rng)
         ended = np.flatnonzero(terminated | truncated)
-        unseen = self.hidden()
-        last, last_hidden = observation[ended].copy(), unseen[ended]
-        last[gone[ended]] = last_hidden[gone[ended]] = 0.0
+        last, last_hidden = observation[ended].copy(), np.zeros((0, self.hidden_size))
+        last[gone[ended]] = 0.0
         lengths, returns = (self._age - self._born)[ended], self._return[ended].copy()
         if len(ended):
+            last_hidden = self.hidden()[ended]
+            last_hidden[gone[ended]] = 0.0
             self._begin(ended)
-            observation, unseen = senses.observation, self.hidden()
+            observation = senses.observation
         means = {name: float(np.nanmean(np.where(gone, 0.0, value))) for name, value in parts.items()}
-        return Step(observation, reward, terminated, truncated, last, unseen, last_hidden, lengths, returns, means)
+        return Step(observation, reward, terminated, truncated, last, last_hidden, lengths, returns, means)
 
     @property
     def hidden_size(self) -> int:
@@ -275,6 +274,7 @@ class Environment:
         if self.randomisation is not None:
             fresh = draw(self.randomisation, rng, len(ids), n, model.nbody - 1)
             apply(herd, ids, fresh)
+            self._robot[ids] = hidden.robot(fresh)
             self._senses.draws = fresh if len(ids) == self.count else self._senses.draws.changed(ids, fresh)
         states = np.repeat(self._start[None], len(ids), axis=0)
         joints = 1 + herd.drive.position
@@ -294,4 +294,3 @@ class Environment:
         self._age[ids] = self._born[ids] = 0
         self._return[ids], self._said[ids], self._pace[ids], self._velocity[ids] = 0.0, 0.0, 0.0, 0.0
         self._turning[ids] = 0.0
-        self._robot[ids] = hidden.robot(self._senses.draws)[ids]

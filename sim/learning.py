@@ -115,7 +115,7 @@ class Vector(VecEnv):  # type: ignore[misc]  # the library ships no types
         self.parts.append(dict(step.parts))
         self.lengths.append(step.lengths)
         self.returns.append(step.returns)
-        return _seen(step.observation, step.hidden), step.reward.astype(np.float32), done, infos
+        return _seen(step.observation, self.environment.hidden()), step.reward.astype(np.float32), done, infos
 
     def close(self) -> None:
         """Nothing to close."""

@@ -233,8 +233,7 @@ def apply(herd: Herd, ids: NDArray[np.intp], draws: Draws) -> None:
             many.expand(field)[ids, :, 0] = getattr(model, field)[:, 0] * draws.contact_time[:, None]
     if draws.skin is not None and has_pads(model):
         slides = _slides(model)
-        for field in ("jnt_stiffness", "dof_damping"):
-            which = slides if field == "jnt_stiffness" else slides[model.dof_jntid]
+        for field, which in (("jnt_stiffness", slides), ("dof_damping", slides[model.dof_jntid])):
             many.expand(field)[ids] = getattr(model, field) * np.where(which, draws.skin[:, None], 1.0)
     if draws.mass is not None:
         many.expand("body_mass")[ids, 1:] = model.body_mass[1:] * draws.mass

@@ -44,21 +44,21 @@ class Course:
         model: of the robot, made by `sim.herd.with_latency_room`.
         others: the same robot modelled otherwise, on each of which it walks as it is and at both ends of its stiffness.
         pace: how fast it is to be [m/s].
+        generations: of the CMA-ES. In the first two fifths of them gaits walk on a few of the robots only, then the
+            better half of each on all.
         ranges: what the robots may differ in.
         seed: of all that is drawn.
         seconds: of each walk.
-        generations: of the CMA-ES. In the first two fifths of them gaits walk on a few of the robots only, then the
-            better half of each on all.
         population: gaits of each.
     """
 
     model: Model
     others: tuple[Model, ...]
     pace: float
+    generations: int
     ranges: Randomisation = WIDE
     seed: int = 0
     seconds: float = 4.0
-    generations: int = 48
     population: int = 10
 
     def __call__(self, gait: Gait) -> tuple[Trial, ...]:
@@ -142,7 +142,8 @@ class _Walker:
         few = self._walked(points, self._few)
         brief = self._tried(points, few)
         order = sorted(range(len(points)), key=lambda k: -brief[k].score)
-        better, worse = order[: -(-len(order) // 2)], order[-(-len(order) // 2) :]
+        half = (len(order) + 1) // 2
+        better, worse = order[:half], order[half:]
         chosen = [points[k] for k in better]
         rest = self._walked(chosen, self._rest)
         walks = [few[k] + more for k, more in zip(better, rest, strict=True)]

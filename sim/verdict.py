@@ -106,7 +106,8 @@ def evaluate(
 
     The draws are the same for every policy of a training, so that verdicts differ by the policy alone. A share of the
     episodes is on `others`. Where `cornered` and the task is speed, it walks at each end of each range, and on the
-    models `checks`, too. All ranges are those that are claimed, which training may go beyond.
+    models `checks`, too. Ranges are those that are claimed, which training may go beyond; those of a task's reward are
+    training's.
     """
     plain = measure(robot.model, roll_out_actor(robot.model, actor, EVALUATION_SECONDS, start=robot.start))[0]
     behaviours: list[Behaviour | None] = []
