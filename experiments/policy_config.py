@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 RATE = 7e-4  # of learning; short trainings walk sooner by the usual one, long ones were measured by this one
-# What is learned about a gait that holds: more exploration, reach or a higher rate would unlearn it.
-SPREAD, REACH, SLOWER = 0.25, 0.2, 0.5
+# What is learned about a gait that holds: more exploration or a higher rate would unlearn it.
+SPREAD, SLOWER = 0.25, 0.5
 
 
 class Policy(Struct, frozen=True, forbid_unknown_fields=True):
@@ -48,14 +48,14 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     robot: Annotated[str, Meta(min_length=1)]
     solver: Solvers = DEFAULT_SOLVER
     seed: Annotated[int, Meta(ge=0, le=SEED_BOUND - 1)] = 0
-    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 600_000
-    generations: Annotated[int, Meta(ge=0, le=10_000)] = 48
+    steps: Annotated[int, Meta(ge=1000, le=1_000_000_000)] = 400_000
+    generations: Annotated[int, Meta(ge=0, le=10_000)] = 36
     starts: Annotated[int, Meta(ge=1, le=16)] = 3
     race_steps: Annotated[int, Meta(ge=1000, le=100_000_000)] = 160_000
     chunk: Annotated[int, Meta(ge=1000, le=100_000_000)] = 100_000
     copies: Annotated[int, Meta(ge=1, le=65_536)] = 64
     task: Literal["speed", "command", "stand", "recover"] = "speed"
-    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.7
+    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.65
     history: Annotated[int, Meta(ge=1, le=16)] = 1
     randomise: bool = True
     pads: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.35  # 7 of the 20 episodes that choose the best
@@ -86,4 +86,4 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         )  # fmt: skip
         if not self.held:
             return training
-        return replace(training, rhythm_spread=SPREAD, rhythm_reach=REACH, rhythm_rate=SLOWER)
+        return replace(training, rhythm_spread=SPREAD, rhythm_rate=SLOWER)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -24,7 +25,7 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
-SEARCHES = 2  # for open-loop gaits
+SEARCHES, PROMISING = 3, 2  # for open-loop gaits in each band of frequencies; and how many go on in all
 ENOUGH = 0.75  # of the pace: no free start races against a gait that holds and goes so fast
 TIMEOUT = 3600.0  # of one runner's heat, or of one gait on its course [s]
 
@@ -55,7 +56,7 @@ def best_start(
     if config.task != "speed":
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
-    found = gaits(config, model)
+    found = gaits(config, model, others, workers)
     ready: list[Runner] = []
     if config.held:
         held = sturdier(found, config, model, others, workers)
@@ -73,24 +74,61 @@ def best_start(
     return winner([*ready, *_race(config, model, runners, workers, needed=not ready)])
 
 
-def gaits(config: Policy, model: Model) -> list[GaitResult]:
-    """Open-loop gaits of independent searches, the best first.
+@dataclass(frozen=True, eq=False, slots=True)
+class Search:
+    """Of an open-loop gait on a robot as it is modelled; can be sent to another process.
+
+    Attributes:
+        model: of the robot.
+        seed: of the training.
+        course: what else the gait is tried on once it is found; None for nothing.
+    """
+
+    model: Model
+    seed: int
+    course: Course | None
+
+    def __call__(self, key: tuple[int, int]) -> tuple[float, GaitResult] | None:
+        """How promising a gait is and the gait, of a band of frequencies and a number; None where all explode."""
+        from sim.gaits import BANDS, search_gait
+        from sim.rollout import Diverged
+
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GAIT, *key)))
+        try:
+            found = search_gait(self.model, rng, band=BANDS[key[0]])
+        except Diverged:
+            return None
+        return (found.score if self.course is None else self.course.tried(found.gait).score), found
+
+
+def gaits(config: Policy, model: Model, others: Sequence[Model], workers: int) -> list[GaitResult]:
+    """The most promising open-loop gaits of some searches in each band of frequencies, the best first.
+
+    Where gaits are to be made to hold, that is how they do already on robots that differ.
 
     Raises:
-        Impossible: if the physics explodes under every gait.
+        Impossible: if the physics explodes under every gait, or no search could be made.
     """
-    from sim.gaits import SCREENING, search_gait
-    from sim.rollout import Diverged
+    from evo.pool import Pool
+    from sim.gaits import BANDS
 
-    found: list[GaitResult] = []
-    count = SEARCHES if config.held else min(SEARCHES, config.starts)
-    for key in [(GAIT,), *((GAIT, k) for k in range(1, count))]:
-        rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=key))
-        try:
-            found.append(search_gait(model, rng, SCREENING))
-        except Diverged as error:
-            raise Impossible(str(error)) from None
-    return sorted(found, key=lambda gait: -gait.score)
+    search = Search(model, config.seed, _course(config, model, others) if config.held else None)
+    keys = [(band, number) for band in range(len(BANDS)) for number in range(SEARCHES)]
+    with Pool(search, workers, TIMEOUT) as pool:
+        found, trouble = _in_order(pool, keys, "searches")
+    alive = [pair for pair in found if pair is not None]
+    if not alive:
+        raise Impossible(f"no gait of {config.robot}: {trouble or 'its physics explodes under each that was tried'}")
+    return [gait for _, gait in sorted(alive, key=lambda pair: -pair[0])[:PROMISING]]
+
+
+def _course(config: Policy, model: Model, others: Sequence[Model]) -> Course:
+    from sim.randomisation import EXACT
+    from sim.sturdy import Course
+
+    training = config.training(model)
+    return Course(model, tuple(others), training.task.target_speed, config.generations,
+                  training.randomisation or EXACT, config.seed)  # fmt: skip
 
 
 def sturdier(
@@ -101,12 +139,7 @@ def sturdier(
     Raises:
         Impossible: if none of them could be tried.
     """
-    from sim.randomisation import EXACT
-    from sim.sturdy import Course
-
-    training = config.training(model)
-    course = Course(model, tuple(others), training.task.target_speed, config.generations,
-                    training.randomisation or EXACT, config.seed)  # fmt: skip
+    course = _course(config, model, others)
     say("making them hold where friction, contact, latency, gains and the ground differ")
     left = _tried(course, [result.gait for result in found], config.robot, workers)
     return sorted((trial for trials in left for trial in trials), key=lambda trial: -trial.score)

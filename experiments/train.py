@@ -28,12 +28,13 @@ HELP = "train a policy for a blueprint by reinforcement learning: a bundle that 
 
 STORY = """
 Episodes of the robot's twin differ in latency, gains, friction, masses, skin and sensor errors, so that the policy
-works on the robot that is built. Open-loop gaits are searched first, and made to hold on many such robots at once. The
-best of them is what a policy then learns to correct. "Forward" is not defined for a free-form body: it is that gait's
-direction. Where no gait is quick enough, free policies along the direction of the first gait and the opposite one race
-against it, and the training goes on from the winner. Faster than --pace costs reward, so that all of these robots go
-about as fast. The best policy so far is kept, be it the gait as it is, judged without exploration: by the speed that is
-left at the worst end of all ranges, on sprung pads and on flexible skin, and by falls.
+works on the robot that is built. Open-loop gaits, slow and quick ones, are searched first, and made to hold on many
+such robots at once. The best of them is what a policy then learns to correct. "Forward" is not defined for a
+free-form body: it is that gait's direction. Where no gait is quick enough, free policies along the direction of the
+first gait and the opposite one race against it, and the training goes on from the winner. Faster than --pace costs
+reward, so that all of these robots go about as fast. The best policy so far is kept, be it the gait as it is, judged
+without exploration: by the speed that is left at the worst end of all ranges, on sprung pads and on flexible skin,
+and by falls.
 
 examples:
   bodyplan train robot --out runs/walk                      a blueprint folder of `bodyplan build`, in some minutes
@@ -70,7 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=int, help="how many starts race: a gait, free headings (3)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")
-    parser.add_argument("--pace", type=float, metavar="V", help="how fast it is to be (0.7 body lengths a second)")
+    parser.add_argument("--pace", type=float, metavar="V", help="how fast it is to be (0.65 body lengths a second)")
     parser.add_argument("--history", type=int, metavar="N", help="frames that the policy sees (1)")
     parser.add_argument("--pads", type=float, metavar="SHARE", help="of the robots on sprung pads (0.35)")
     parser.add_argument("--terrain", choices=TERRAINS, help="what it walks on (flat)")

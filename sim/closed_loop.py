@@ -40,6 +40,8 @@ class Senses:
         if rng is not None and draws.noise is not None:
             noise, n = draws.noise, position.shape[1]
             white = rng.standard_normal((herd.count, 6 + 2 * n))
+            if draws.noise_level is not None:
+                white *= draws.noise_level[:, None]
             gravity = gravity + noise.gravity * white[:, :3]
             gyro = gyro + noise.gyro * white[:, 3:6]
             position = position + noise.position * white[:, 6 : 6 + n]

@@ -26,6 +26,7 @@ REACH = 0.6  # farthest that an action of 1 goes from the centre [rad]
 BLEND = 0.6  # share of the way to a new target that is gone in one control period
 STEP_SHARE = 0.9  # of what a motor can turn in a period: the robot's guard stops at 1
 PACE_TIME = 0.5  # over which a robot's pace is averaged, by a first-order lag [s]
+HEAT_TIME = 2.0  # and what its motors give
 MOST_EXPLOSIONS = 16  # states that are kept for a look
 
 
@@ -159,7 +160,7 @@ class Environment:
         self._pace, self._velocity = np.zeros((2, self.count, 2))
         self._turning, self._robot = np.zeros(self.count), np.zeros((self.count, hidden.ROBOT))
         self._return = np.zeros(self.count)
-        self._said = np.zeros((self.count, self.model.nu))
+        self._said, self._heat = np.zeros((2, self.count, self.model.nu))
         self._commands = np.zeros((self.count, 3))
         self._senses.command = self._commands
 
@@ -251,11 +252,13 @@ class Environment:
         velocity = np.stack([c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0]], axis=1)
         self._pace = self._pace + herd.period / PACE_TIME * (velocity - self._pace)
         torque, speed = herd.torques, herd.velocities
+        load = np.square(torque / herd.drive.continuous_torque)
+        self._heat = self._heat + herd.period / HEAT_TIME * (load - self._heat)
         turn = (yaw - self._yaw + np.pi) % (2 * np.pi) - np.pi
         self._yaw, self._velocity, self._turning = yaw, velocity, turn / herd.period
         return Moment(
             velocity, self._pace, self._turning, up, speed, said, self._said,
-            torque / herd.drive.continuous_torque, (torque * speed).sum(axis=1) / self._weight, self._commands,
+            self._heat, (torque * speed).sum(axis=1) / self._weight, self._commands,
         )  # fmt: skip
 
     def _note(self, gone: NDArray[np.bool_], state: Array | None, control: Array) -> None:
@@ -293,4 +296,4 @@ class Environment:
         self._yaw[ids] = turned(self._standing, herd.qpos[ids, 3:7])[1]
         self._age[ids] = self._born[ids] = 0
         self._return[ids], self._said[ids], self._pace[ids], self._velocity[ids] = 0.0, 0.0, 0.0, 0.0
-        self._turning[ids] = 0.0
+        self._turning[ids], self._heat[ids] = 0.0, 0.0

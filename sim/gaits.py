@@ -14,7 +14,11 @@ from sim.actor import Gait
 from sim.model import Drive, Model, body_length, drive_of, model_name
 from sim.rollout import Behaviour, Diverged, as_model, measure, roll_out, settle
 
-FREQUENCY = (0.4, 2.0)  # of a gait [Hz]
+Band = tuple[float, float]
+
+FREQUENCY: Band = (0.4, 2.0)  # of a gait [Hz]
+BRISK: Band = (2.0, 6.0)  # short, quick steps, by which bodies go that hardly walk otherwise [Hz]
+BANDS = (FREQUENCY, BRISK)
 MARGIN = 0.05  # share of a joint's range that is kept free at each end: slamming into a stop breaks prints
 GREATEST_AMPLITUDE = 1.0  # [rad]
 SPREAD = 0.15  # standard deviation of the first offsets about the pose at rest, as a share of the range
@@ -101,15 +105,18 @@ class _Trial:
     behaviour: Behaviour | None
 
 
-def search_gait(robot: Description | Model, rng: np.random.Generator, budget: GaitBudget = SCREENING) -> GaitResult:
+def search_gait(
+    robot: Description | Model, rng: np.random.Generator, budget: GaitBudget = SCREENING, band: Band = FREQUENCY
+) -> GaitResult:
     """Search the gait that moves a robot best; the same `rng` gives the same bytes.
 
-    A gait is 3 n + 1 numbers: one frequency, and for each joint an amplitude, a phase and an offset within its range.
+    A gait is 3 n + 1 numbers: one frequency within `band` [Hz], and for each joint an amplitude, a phase and an offset
+    within its range.
 
     Raises:
         Diverged: if the physics explodes under every gait.
     """
-    race = _Race(as_model(robot))
+    race = _Race(as_model(robot), band)
     points = random_points(race.drive, budget.random, rng)
     trials = race.run(points, budget.random_seconds)
     best = max(trials, key=_by_score)
@@ -127,11 +134,11 @@ def refine(
         Diverged: if the physics explodes under every gait.
         ValueError: if the gait is for another number of joints.
     """
-    race = _Race(as_model(robot))
+    race = _Race(as_model(robot), band_of(gait))
     if gait.num_joints != race.model.nu:
         name, n = model_name(race.model), race.model.nu
         raise ValueError(f"the gait drives {gait.num_joints} joints, robot {name} has {n}")
-    known = encode(race.drive, gait)
+    known = encode(race.drive, gait, race.band)
     near = known + 0.5 * STEP * rng.standard_normal((budget.random // 2, known.size))
     points = np.concatenate([known[None], near, random_points(race.drive, budget.random // 2, rng)])
     trials = race.run(points, budget.seconds)
@@ -152,7 +159,12 @@ def score(behaviour: Behaviour) -> float:
     return value * FALL_FACTOR * behaviour.upright if behaviour.fell else value
 
 
-def decode(drive: Drive, point: NDArray[np.float64]) -> Gait:
+def band_of(gait: Gait) -> Band:
+    """The range of frequencies in which a gait is to be searched on [Hz]."""
+    return BRISK if gait.frequency > FREQUENCY[1] else FREQUENCY
+
+
+def decode(drive: Drive, point: NDArray[np.float64], band: Band = FREQUENCY) -> Gait:
     """Read a gait from a point (3 n + 1,): frequency, amplitudes, phases, offsets, each folded into its range."""
     n = len(drive.names)
     unit = np.abs((point + 1.0) % 2.0 - 1.0)  # reflects at 0 and 1, so that the search has no walls
@@ -161,21 +173,21 @@ def decode(drive: Drive, point: NDArray[np.float64]) -> Gait:
     # Rounding may put an offset beyond its limit by one part in 1e16.
     room = np.clip(np.minimum(offset - low, high - offset), 0.0, GREATEST_AMPLITUDE)
     return Gait(
-        frequency=FREQUENCY[0] * (FREQUENCY[1] / FREQUENCY[0]) ** float(unit[0]),
+        frequency=band[0] * (band[1] / band[0]) ** float(unit[0]),
         amplitude=unit[1 : 1 + n] * room,
         phase=2 * np.pi * (point[1 + n : 1 + 2 * n] % 1.0),
         offset=offset,
     )
 
 
-def encode(drive: Drive, gait: Gait) -> NDArray[np.float64]:
+def encode(drive: Drive, gait: Gait, band: Band = FREQUENCY) -> NDArray[np.float64]:
     """The point that `decode` reads as this gait, or as the nearest one within the ranges."""
     low, high = _limits(drive)
     offset = np.clip(gait.offset, low, high)
     room = np.minimum(np.minimum(offset - low, high - offset), GREATEST_AMPLITUDE)
-    ratio = np.clip(gait.frequency, *FREQUENCY) / FREQUENCY[0]
+    ratio = np.clip(gait.frequency, *band) / band[0]
     return np.concatenate([
-        [np.log(ratio) / np.log(FREQUENCY[1] / FREQUENCY[0])],
+        [np.log(ratio) / np.log(band[1] / band[0])],
         np.clip(gait.amplitude / np.maximum(room, 1e-9), 0.0, 1.0),
         gait.phase / (2 * np.pi) % 1.0,
         (offset - low) / (high - low),
@@ -195,8 +207,8 @@ def random_points(drive: Drive, count: int, rng: np.random.Generator) -> NDArray
 class _Race:
     """One robot, settled once, on which many points are tried."""
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
+    def __init__(self, model: Model, band: Band) -> None:
+        self.model, self.band = model, band
         self.drive = drive_of(model)
         self.start = settle(model)
         self.length = body_length(model)
@@ -204,7 +216,7 @@ class _Race:
 
     def run(self, points: NDArray[np.float64] | Sequence[NDArray[np.float64]], seconds: float) -> list[_Trial]:
         """Try every point for `seconds`."""
-        gaits = [decode(self.drive, point) for point in points]
+        gaits = [decode(self.drive, point, self.band) for point in points]
         behaviours = measure(self.model, roll_out(self.model, gaits, seconds, self.start), self.length)
         self.rollouts += len(gaits)
         return [
@@ -251,7 +263,7 @@ def _final(race: _Race, trials: list[_Trial], budget: GaitBudget, always: Sequen
     best = max(race.run(finalists, budget.final_seconds), key=_by_score)
     if best.behaviour is None:
         raise Diverged(f"robot {model_name(race.model)} explodes under each of {race.rollouts} gaits")
-    return GaitResult(decode(race.drive, best.point), best.behaviour, best.score, race.rollouts)
+    return GaitResult(decode(race.drive, best.point, race.band), best.behaviour, best.score, race.rollouts)
 
 
 def _by_score(trial: _Trial) -> float:

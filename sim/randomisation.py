@@ -54,6 +54,7 @@ class Randomisation:
     push_speed: float = 0.3  # horizontal kick of the root [m/s] ...
     push_every: float = 4.0  # ... about so often [s]
     noise: Noise | None = WHITE
+    noise_level: Range = (1.0, 1.0)  # factor on all of the noise
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -61,8 +62,10 @@ class Randomisation:
             value = getattr(self, field.name)
             if isinstance(value, tuple):
                 low, high = value
-                # All but the latency are drawn in their logarithm.
-                least, sign = (0.0, "<=") if field.name == "latency" else (np.finfo(np.float64).tiny, "<")
+                # All but these are drawn in their logarithm.
+                least, sign = (
+                    (0.0, "<=") if field.name in ("latency", "noise_level") else (np.finfo(np.float64).tiny, "<")
+                )
                 if not (np.isfinite(value).all() and least <= low <= high):
                     raise ValueError(
                         f"randomisation: {field.name} is {value}; it must be a range with 0 {sign} low <= high"
@@ -74,8 +77,11 @@ class Randomisation:
 
 
 RANDOMISED = Randomisation()
-# What is learned from: where a policy is to keep its speed at the ends of a range, training goes beyond them.
-WIDE = replace(RANDOMISED, friction=(0.35, 1.4), contact_time=(0.3, 2.5), skin=(0.25, 1.5))
+# What is learned from: where a policy is to keep its speed at the ends of a range, training goes beyond them. Some
+# robots have little noise: a policy that has always moved by it stands still, or otherwise, without it.
+WIDE = replace(
+    RANDOMISED, friction=(0.35, 1.4), contact_time=(0.3, 2.5), skin=(0.25, 1.5), noise_level=(0.0, 1.0)
+)  # fmt: skip
 EXACT = Randomisation(
     latency=(0.008, 0.008), stiffness=(1.0, 1.0), damping=(1.0, 1.0), voltage=(1.0, 1.0), friction=(0.8, 0.8),
     contact_time=(1.0, 1.0), mass=(1.0, 1.0), skin=(1.0, 1.0), gyro_bias=0.0, imu_turn=0.0, encoder_offset=0.0,
@@ -102,6 +108,7 @@ class Draws:
         push_speed: [m/s]; None for no pushes.
         push_every: [s].
         noise: of every reading; None for none.
+        noise_level: factor on it, (k,); None for 1.
     """
 
     latency: Array | None
@@ -118,6 +125,7 @@ class Draws:
     push_speed: float | None = None
     push_every: float = 4.0
     noise: Noise | None = None
+    noise_level: Array | None = None
 
     def row(self, index: int) -> dict[str, Array]:
         """What one copy drew, by name."""
@@ -163,7 +171,7 @@ def draw(ranges: Randomisation, rng: np.random.Generator, count: int, num_joints
         mass=factor(ranges.mass, num_bodies), skin=factor(ranges.skin), gyro_bias=within(ranges.gyro_bias, 3),
         imu_turn=_turns(within(ranges.imu_turn, 3)), encoder_offset=within(ranges.encoder_offset, num_joints),
         push_speed=ranges.push_speed if ranges.push_speed > 0 else None, push_every=ranges.push_every,
-        noise=ranges.noise,
+        noise=ranges.noise, noise_level=uniform(ranges.noise_level),
     )  # fmt: skip
 
 

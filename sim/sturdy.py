@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sim.actor import Gait
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
-from sim.gaits import decode, encode, strategy_about
+from sim.gaits import FREQUENCY, Band, band_of, decode, encode, strategy_about
 from sim.model import Model, body_length, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import EXACT, WIDE, Draws, Randomisation, at_end, draw, joined
@@ -29,7 +29,7 @@ STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` a
 SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
 BRIEF = 0.4  # share of the generations that are tried in brief
 FINALISTS, LEFT = 4, 2  # the best of as many generations walk once more; and how many of those are left
-DRAWN = 4  # walks of a gait with everything drawn, and with pushes ...
+DRAWN = 4  # walks of a gait with everything drawn, on all models together, and with pushes ...
 PUSH_EVERY = 2.0  # ... about so often, since walks are short [s]
 FEW = 3  # walks on the model that every gait makes: as it is, and at both ends of friction
 BEHIND = 1e-6  # what tells a gait that was tried on a few robots from the last that was tried on all [m/s]
@@ -66,9 +66,10 @@ class Course:
 
         Finalists walk for twice as long, on other robots than those of the search and under other pushes.
         """
-        walker = _Walker(self, 0)
+        band = band_of(gait)
+        walker = _Walker(self, 0, band)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(STURDY, 0)))
-        given = encode(walker.drive, gait)
+        given = encode(walker.drive, gait, band)
         found: list[tuple[float, Array]] = []
         strategy = strategy_about(given, SPREAD, self.population, rng)
         for generation in range(self.generations):
@@ -80,9 +81,15 @@ class Course:
             if not brief:
                 found.append((trials[top].score, points[top]))
         best = sorted(found, key=lambda pair: -pair[0])[:FINALISTS]
-        final = _Walker(replace(self, seconds=2 * self.seconds), 1)
+        final = _Walker(replace(self, seconds=2 * self.seconds), 1, band)
         tried = final.trials([given, *(point for _, point in best), strategy.mean])
         return tuple(sorted(tried, key=lambda trial: -trial.score)[:LEFT])
+
+    def tried(self, gait: Gait) -> Trial:
+        """A gait as it is, or as the nearest one within the joints' ranges, on all robots."""
+        band = band_of(gait)
+        walker = _Walker(self, 0, band)
+        return walker.trials([encode(walker.drive, gait, band)])[0]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -92,9 +99,9 @@ class Trial:
     Attributes:
         gait: tried.
         heading: its direction on the model as it is [rad].
-        score: mean of the worth of all its walks, see `worth`, and of the least of those without pushes, in which falls
-            are chance [m/s]; no more than minus the pace where the physics of the model itself exploded.
-        least: that least worth [m/s].
+        score: mean of the worth of all its walks, see `worth`, and of the least [m/s]; no more than minus the pace
+            where the physics of the model itself exploded.
+        least: of the worths of walks without pushes, and of the mean of those with them, where falls are chance [m/s].
     """
 
     gait: Gait
@@ -106,18 +113,19 @@ class Trial:
 class _Walker:
     """A course with the robots settled and drawn; every gait meets the same ones, but its own pushes and noise."""
 
-    def __init__(self, course: Course, number: int) -> None:
+    def __init__(self, course: Course, number: int, band: Band = FREQUENCY) -> None:
         """Draw the robots of the course; another number draws others."""
         model = course.model
-        self.course, self._number = course, number
+        self.course, self._number, self._band = course, number, band
         self.drive, self._length = drive_of(model), body_length(model)
         start, ends = settle(model), _ends(course.ranges)
         others = [(other, settle(other)) for other in course.others]
         skins = [at_end(course.ranges, end, "skin") for end in (0, 1)]
-        pushed = [replace(course.ranges, push_every=PUSH_EVERY)] * DRAWN
+        kinds = [(model, start), *others]
+        pushed = [replace(course.ranges, push_every=PUSH_EVERY)] * max(1, DRAWN // len(kinds))
         self._few = [(model, start, self._drawn(model, *ends[:FEW]))]
         self._few += [(*other, self._drawn(other[0], EXACT)) for other in others]
-        self._pushed = [(model, start, self._drawn(model, *pushed))]
+        self._pushed = [(*kind, self._drawn(kind[0], *pushed)) for kind in kinds]
         self._rest = [(model, start, self._drawn(model, *ends[FEW:]))]
         self._rest += [(*other, self._drawn(other[0], *skins)) for other in others]
 
@@ -156,13 +164,13 @@ class _Walker:
     def _tried(
         self, points: Sequence[Array], walks: Sequence[Walks], pushed: Sequence[Walks] | None = None
     ) -> list[Trial]:  # fmt: skip
-        gaits = [decode(self.drive, point) for point in points]
+        gaits = [decode(self.drive, point, self._band) for point in points]
         pushed = [[] for _ in gaits] if pushed is None else pushed
         return [trial_of(*each, self.course.pace) for each in zip(gaits, walks, pushed, strict=True)]
 
     def _walked(self, points: Sequence[Array], robots: Sequence[Robots]) -> list[Walks]:
         """All walks of every gait, all gaits at once."""
-        gaits = [decode(self.drive, point) for point in points]
+        gaits = [decode(self.drive, point, self._band) for point in points]
         walks: list[Walks] = [[] for _ in gaits]
         for model, start, draws in robots:
             count = len(draws.encoder_offset)
@@ -181,9 +189,9 @@ def trial_of(gait: Gait, walks: Walks, pushed: Walks, pace: float) -> Trial:
     if walks[0] is None:
         return Trial(gait, 0.0, -pace, -pace)
     heading = walks[0].heading
-    worths = [worth(walk, heading, pace) for walk in walks]
-    mean, least = np.mean([*worths, *(worth(walk, heading, pace) for walk in pushed)]), min(worths)
-    return Trial(gait, heading, float(mean + least) / 2, least)
+    calm, drawn = ([worth(walk, heading, pace) for walk in each] for each in (walks, pushed))
+    least = min([*calm, float(np.mean(drawn))] if drawn else calm)
+    return Trial(gait, heading, float(np.mean([*calm, *drawn]) + least) / 2, least)
 
 
 def worth(walk: Behaviour | None, heading: float, pace: float) -> float:

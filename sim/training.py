@@ -193,7 +193,10 @@ class Trainer:
 
     def _consider(self, actor: Perceptron) -> Verdict:
         """Judge a policy, and keep it if it is the best so far."""
-        verdict = evaluate(self._stood, actor, self.training, self.nthread, self._others, self._checks)
+        to_beat = -np.inf if self.best_verdict is None else self.best_verdict.score
+        verdict = evaluate(
+            self._stood, actor, self.training, self.nthread, self._others, self._checks, to_beat=to_beat
+        )  # fmt: skip
         if self.best_verdict is None or verdict.score > self.best_verdict.score:
             self.best, self.best_verdict = actor, verdict
         return verdict

@@ -10,7 +10,7 @@ import pytest
 
 from mfg.description import Description
 from sim.actor import Gait, smooth_step
-from sim.environment import MOST_EXPLOSIONS, PACE_TIME, TEN_SECONDS, Environment, action_map
+from sim.environment import HEAT_TIME, MOST_EXPLOSIONS, PACE_TIME, TEN_SECONDS, Environment, action_map
 from sim.herd import with_latency_room
 from sim.model import make_spec
 from sim.randomisation import RANDOMISED
@@ -96,6 +96,30 @@ def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: 
     np.testing.assert_allclose(pace[1:20], pace[:19] + share * (velocity[1:20] - pace[:19]))
     np.testing.assert_allclose(pace[20], share * velocity[20])  # of a new episode
     assert np.abs(pace).max() > 0.0
+
+
+def test_motors_warm_up_by_the_square_of_their_load(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    environment = Environment(model, 2, episode=replace(TEN_SECONDS, seconds=0.4))
+
+    def terms(_: Task, moment: Any) -> dict[str, np.ndarray]:
+        seen.append(
+            (np.square(environment.herd.torques / environment.herd.drive.continuous_torque), moment.heat.copy())
+        )
+        return {"speed": np.zeros(2)}
+
+    monkeypatch.setattr("sim.environment.terms", terms)
+    environment.reset(np.random.default_rng(0))
+    environment._age[:] = environment._born[:] = 0
+    for _ in range(21):
+        environment.step(np.full((2, 4), 0.5))
+    load, heat = np.moveaxis(seen, 1, 0)
+    share = CONTROL_PERIOD / HEAT_TIME
+    np.testing.assert_allclose(heat[0], share * load[0])
+    np.testing.assert_allclose(heat[1:20], heat[:19] + share * (load[1:20] - heat[:19]))
+    np.testing.assert_allclose(heat[20], share * load[20])  # of a new episode
+    assert heat.min() >= 0.0
+    assert heat.max() > 0.0
 
 
 def test_physics_that_explodes_is_counted_and_kept_and_the_rest_goes_on(model: Any) -> None:

@@ -13,10 +13,12 @@ from numpy.testing import assert_allclose
 from mfg.description import Description
 from sim.actor import Gait
 from sim.gaits import (
-    FREQUENCY,
+    BANDS,
     GREATEST_AMPLITUDE,
+    Band,
     GaitBudget,
     GaitResult,
+    band_of,
     decode,
     encode,
     random_points,
@@ -41,21 +43,22 @@ def same(one: GaitResult, two: GaitResult) -> bool:
     return arrays[0] == arrays[1] and one.score == two.score and one.distance == two.distance
 
 
-@given(st.lists(st.floats(-5, 5), min_size=7, max_size=7))
-def test_every_point_is_a_gait_within_the_ranges(numbers: list[float]) -> None:
-    gait = decode(DRIVE, np.array(numbers))
+@given(st.lists(st.floats(-5, 5), min_size=7, max_size=7), st.sampled_from(BANDS))
+def test_every_point_is_a_gait_within_the_ranges(numbers: list[float], band: Band) -> None:
+    gait = decode(DRIVE, np.array(numbers), band)
     low, high = DRIVE.range.T
-    assert FREQUENCY[0] - 1e-9 <= gait.frequency <= FREQUENCY[1] + 1e-9
+    assert band[0] - 1e-9 <= gait.frequency <= band[1] + 1e-9
     assert (gait.amplitude >= 0).all()
     assert (gait.amplitude <= GREATEST_AMPLITUDE).all()
     assert (gait.offset - gait.amplitude > low).all()
     assert (gait.offset + gait.amplitude < high).all()
 
 
-@given(st.lists(st.floats(0.01, 0.99), min_size=7, max_size=7))
-def test_encoding_is_the_inverse_of_decoding(numbers: list[float]) -> None:
-    gait = decode(DRIVE, np.array(numbers))
-    again = decode(DRIVE, encode(DRIVE, gait))
+@given(st.lists(st.floats(0.01, 0.99), min_size=7, max_size=7), st.sampled_from(BANDS))
+def test_encoding_is_the_inverse_of_decoding(numbers: list[float], band: Band) -> None:
+    gait = decode(DRIVE, np.array(numbers), band)
+    assert band_of(gait) == band
+    again = decode(DRIVE, encode(DRIVE, gait, band), band)
     for field in ("frequency", "amplitude", "phase", "offset"):
         assert_allclose(getattr(again, field), getattr(gait, field), atol=1e-6)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.tasks import BURST, FAST, SCALE, Goal, Moment, Task, along, terms
+from sim.tasks import FAST, SCALE, Goal, Moment, Task, along, terms
 
 WEIGHTS = ("haste", "lateral", "turning", "tilting", "action_rate", "torque", "power")
 
@@ -19,7 +19,7 @@ def moment(k: int = 3, seed: int = 0, **changes: Any) -> Moment:
         velocity=rng.normal(size=(k, 2)) * 0.3, pace=rng.normal(size=(k, 2)) + FAST.target_speed,
         yaw_rate=rng.normal(size=k), up=rng.uniform(0.6, 1.0, k),
         joint_speed=rng.normal(size=(k, 2)), said=rng.uniform(-1, 1, (k, 2)), said_before=rng.uniform(-1, 1, (k, 2)),
-        load=rng.normal(size=(k, 2)), power=rng.uniform(0.1, 1, k), command=rng.normal(size=(k, 3)) * 0.2,
+        heat=rng.uniform(1.0, 3.0, (k, 2)), power=rng.uniform(0.1, 1, k), command=rng.normal(size=(k, 3)) * 0.2,
     )  # fmt: skip
     return replace(plain, **changes)
 
@@ -40,9 +40,9 @@ def test_speed_earns_up_to_the_target_and_no_more() -> None:
     assert (np.diff(earned[speeds <= FAST.target_speed]) > 0).all()
     assert (np.diff(earned[speeds >= FAST.target_speed]) < 1e-12).all()
     assert earned.max() == pytest.approx(2 * SCALE * FAST.target_speed)
-    # A moment may be faster, because no stride is even, but leaps earn no more.
-    leaping = terms(FAST, replace(steady, pace=0 * velocity))["speed"]
-    assert leaping.max() == pytest.approx(BURST * earned.max())
+    # No stride is even: a moment may be faster than the stride, and its mean is what is earned.
+    uneven = terms(FAST, moment(2, velocity=np.array([[-0.6, 0.0], [1.4, 0.0]]), pace=np.full((2, 2), 0.4)))["speed"]
+    assert uneven.mean() == pytest.approx(2 * SCALE * 0.4)
     hasty = terms(replace(FAST, haste=2.0), steady)
     assert (np.diff((hasty["speed"] + hasty["haste"])[speeds >= FAST.target_speed]) < 0).all()
     assert (hasty["haste"][speeds <= FAST.target_speed] == 0).all()
@@ -56,6 +56,11 @@ def test_each_weight_acts_on_its_own_part_and_only_costs(weight: str) -> None:
     for name in before:
         np.testing.assert_allclose(after[name], before[name] * (2 if name == weight else 1))
     assert (before[weight] <= 0).all()
+
+
+def test_torque_costs_beyond_what_the_warmest_motor_bears_for_long() -> None:
+    cost = terms(FAST, moment(3, heat=np.array([[1.0, 0.2], [0.5, 1.5], [2.0, 0.0]])))["torque"]
+    np.testing.assert_allclose(cost, -SCALE * FAST.torque * np.array([0.0, 0.5, 1.0]), atol=1e-15)
 
 
 def test_a_command_is_followed_best_exactly() -> None:

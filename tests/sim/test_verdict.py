@@ -109,6 +109,25 @@ def test_the_models_that_check_are_corners_too(
     assert evaluate(robot, walker, SMALL, others=(sprung,)).kept == pytest.approx(1.0)
 
 
+def test_models_check_only_what_could_still_be_the_best(
+    robot: Any, sprung: Any, walker: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def cornered(one: Any, places: Any, *_: Any) -> Any:
+        asked.append(one)
+        return np.full(len(places), 0.4 if one is robot else 0.2)
+
+    monkeypatch.setattr("sim.verdict.cornered_speeds", cornered)
+    whole = evaluate(robot, walker, SMALL, checks=(sprung, sprung))
+    assert asked == [robot, sprung, sprung]
+    for better, rest in ((0.0, [sprung, sprung]), (1.5 * whole.score, [sprung]), (3.0 * whole.score, [])):
+        asked.clear()
+        verdict = evaluate(robot, walker, SMALL, checks=(sprung, sprung), to_beat=better)
+        assert asked == [robot, *rest]
+        assert verdict.score == whole.score or whole.score < verdict.score <= better  # never taken for better
+
+
 def test_every_model_has_its_share() -> None:
     assert shared_out(64, 0.25, 0) == [64]
     assert shared_out(64, 0.25, 1) == [48, 16]
