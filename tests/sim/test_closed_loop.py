@@ -207,6 +207,17 @@ def test_noise_is_white_of_the_stated_strength_and_spares_what_is_not_measured(m
     assert_allclose(layout.unpack(senses.frame(herd, rng))["command"], np.tile([0.1, 0.2, 0.3], (50, 1)))
 
 
+def test_every_copy_has_noise_of_its_own_level(model: Model) -> None:
+    herd, layout = Herd(model, 3), ObservationLayout(4)
+    herd.place(np.arange(3), np.repeat(settle(model)[None], 3, axis=0))
+    whole = Senses(herd, layout, replace(nominal(3, 4), noise=Noise()))
+    some = Senses(herd, layout, replace(nominal(3, 4), noise=Noise(), noise_level=np.array([0.0, 0.5, 1.0])))
+    plain = whole.frame(herd)
+    off, less = (senses.frame(herd, np.random.default_rng(0)) - plain for senses in (whole, some))
+    assert np.abs(off).max() > 0.0
+    assert_allclose(less, off * np.array([0.0, 0.5, 1.0])[:, None], atol=1e-12)
+
+
 def test_a_command_is_felt_after_the_latency_that_was_drawn(roomy: Model) -> None:
     latency = np.array([0.0, 0.004, 0.02, 0.06])
     herd = Herd(roomy, 4)

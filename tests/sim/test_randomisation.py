@@ -18,6 +18,7 @@ from sim.model import DAMPING, FLOOR, STIFFNESS, VOLTAGE, Model, compile_model, 
 from sim.randomisation import (
     EXACT,
     RANDOMISED,
+    WIDE,
     Draws,
     Randomisation,
     apply,
@@ -73,6 +74,16 @@ def test_what_is_added_is_centred_and_within_its_bound() -> None:
     assert draws.latency is not None
     assert 0.0 <= draws.latency.min() < 0.001
     assert 0.039 < draws.latency.max() <= 0.04
+
+
+def test_training_draws_robots_with_less_noise_and_what_is_claimed_has_all_of_it() -> None:
+    assert (arrays(drawn())["noise_level"] == 1.0).all()
+    level = arrays(drawn(WIDE))["noise_level"]
+    assert 0.0 <= level.min() < 0.01
+    assert 0.99 < level.max() <= 1.0
+    assert_allclose(level.mean(), 0.5, atol=0.03)
+    with pytest.raises(ValueError, match=r"noise_level is \(-0.1, 1.0\); it must be a range with 0 <= low"):
+        replace(WIDE, noise_level=(-0.1, 1.0))
 
 
 def test_a_crooked_imu_is_turned_by_no_more_than_it_may() -> None:
