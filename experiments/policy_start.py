@@ -25,7 +25,8 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
-SEARCHES, PROMISING = 3, 2  # for open-loop gaits in each band of frequencies; and how many go on in all
+SEARCHES = 3  # for open-loop gaits in each band of frequencies
+COURSES = 2  # on which those share, side by side
 ENOUGH = 0.75  # of the pace: no free start races against a gait that holds and goes so fast
 TIMEOUT = 3600.0  # of one runner's heat, or of one gait on its course [s]
 
@@ -56,7 +57,7 @@ def best_start(
     if config.task != "speed":
         return Runner(Start(0.0, default_pose(model)))
     say("searching open-loop gaits, whose direction is the first candidate for being forward")
-    found = gaits(config, model, others, workers)
+    found = gaits(config, model, workers)
     ready: list[Runner] = []
     if config.held:
         held = sturdier(found, config, model, others, workers)
@@ -68,7 +69,7 @@ def best_start(
         ready = [best]
         runners = [Runner(start) for start in candidates(found[0], (), config.starts - len(ready))]
     else:
-        runners = [Runner(start) for start in candidates(found[0], found, config.starts)]
+        runners = [Runner(start) for start in candidates(found[0], found[:2], config.starts)]
         if len(runners) == 1:
             return runners[0]
     return winner([*ready, *_race(config, model, runners, workers, needed=not ready)])
@@ -76,35 +77,25 @@ def best_start(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Search:
-    """Of an open-loop gait on a robot as it is modelled; can be sent to another process.
-
-    Attributes:
-        model: of the robot.
-        seed: of the training.
-        course: what else the gait is tried on once it is found; None for nothing.
-    """
+    """Of an open-loop gait on a robot as it is modelled; can be sent to another process."""
 
     model: Model
     seed: int
-    course: Course | None
 
-    def __call__(self, key: tuple[int, int]) -> tuple[float, GaitResult] | None:
-        """How promising a gait is and the gait, of a band of frequencies and a number; None where all explode."""
+    def __call__(self, key: tuple[int, int]) -> GaitResult | None:
+        """The gait of a search in a band of frequencies, by number; None where the physics explodes under all."""
         from sim.gaits import BANDS, search_gait
         from sim.rollout import Diverged
 
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GAIT, *key)))
         try:
-            found = search_gait(self.model, rng, band=BANDS[key[0]])
+            return search_gait(self.model, rng, band=BANDS[key[0]])
         except Diverged:
             return None
-        return (found.score if self.course is None else self.course.tried(found.gait).score), found
 
 
-def gaits(config: Policy, model: Model, others: Sequence[Model], workers: int) -> list[GaitResult]:
-    """The most promising open-loop gaits of some searches in each band of frequencies, the best first.
-
-    Where gaits are to be made to hold, that is how they do already on robots that differ.
+def gaits(config: Policy, model: Model, workers: int) -> list[GaitResult]:
+    """Open-loop gaits of some searches in each band of frequencies, the best first.
 
     Raises:
         Impossible: if the physics explodes under every gait, or no search could be made.
@@ -112,40 +103,36 @@ def gaits(config: Policy, model: Model, others: Sequence[Model], workers: int) -
     from evo.pool import Pool
     from sim.gaits import BANDS
 
-    search = Search(model, config.seed, _course(config, model, others) if config.held else None)
     keys = [(band, number) for band in range(len(BANDS)) for number in range(SEARCHES)]
-    with Pool(search, workers, TIMEOUT) as pool:
+    with Pool(Search(model, config.seed), workers, TIMEOUT) as pool:
         found, trouble = _in_order(pool, keys, "searches")
-    alive = [pair for pair in found if pair is not None]
+    alive = [gait for gait in found if gait is not None]
     if not alive:
         raise Impossible(f"no gait of {config.robot}: {trouble or 'its physics explodes under each that was tried'}")
-    return [gait for _, gait in sorted(alive, key=lambda pair: -pair[0])[:PROMISING]]
-
-
-def _course(config: Policy, model: Model, others: Sequence[Model]) -> Course:
-    from sim.randomisation import EXACT
-    from sim.sturdy import Course
-
-    training = config.training(model)
-    return Course(model, tuple(others), training.task.target_speed, config.generations,
-                  training.randomisation or EXACT, config.seed)  # fmt: skip
+    return sorted(alive, key=lambda gait: -gait.score)
 
 
 def sturdier(
     found: Sequence[GaitResult], config: Policy, model: Model, others: Sequence[Model], workers: int
 ) -> list[Trial]:  # fmt: skip
-    """Gaits that hold on all robots that training draws, the best first; each that is given leaves two.
+    """Gaits that hold on all robots that training draws, the best first; courses share what is given, each leaves two.
 
     Raises:
         Impossible: if none of them could be tried.
     """
-    course = _course(config, model, others)
+    from sim.randomisation import EXACT
+    from sim.sturdy import Course
+
+    training = config.training(model)
+    course = Course(model, tuple(others), training.task.target_speed, config.generations,
+                    training.randomisation or EXACT, config.seed)  # fmt: skip
+    shares = [[result.gait for result in found[k::COURSES]] for k in range(min(COURSES, len(found)))]
     say("making them hold where friction, contact, latency, gains and the ground differ")
-    left = _tried(course, [result.gait for result in found], config.robot, workers)
+    left = _tried(course, shares, config.robot, workers)
     return sorted((trial for trials in left for trial in trials), key=lambda trial: -trial.score)
 
 
-def _tried(course: Course, gaits: Sequence[Gait], robot: str, workers: int) -> list[tuple[Trial, ...]]:
+def _tried(course: Course, gaits: Sequence[Sequence[Gait]], robot: str, workers: int) -> list[tuple[Trial, ...]]:
     """What a course makes of gaits, in their order, without those that were lost."""
     from evo.pool import Pool
 

@@ -6,7 +6,9 @@ robots of a course at once, and the worst of them counts as much as all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +29,7 @@ Robots = tuple[Model, Array, Draws]  # a model, its settled state, and one row f
 
 STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` and the commands that train
 SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
+HEAT = 1 / 6  # share of the generations after which only one search of a course goes on
 BRIEF = 0.4  # share of the generations that are tried in brief
 FINALISTS, LEFT = 4, 2  # the best of as many generations walk once more; and how many of those are left
 DRAWN = 4  # walks of a gait with everything drawn, on all models together, and with pushes ...
@@ -61,35 +64,23 @@ class Course:
     seconds: float = 4.0
     population: int = 10
 
-    def __call__(self, gait: Gait) -> tuple[Trial, ...]:
-        """The best two of a search about a gait, which is itself among the finalists; the best comes first.
+    def __call__(self, gaits: Sequence[Gait]) -> tuple[Trial, ...]:
+        """The best two of a search about one of some gaits, which is itself among the finalists; the best comes first.
 
+        About each a search begins; only the one that has come farthest after a sixth of the generations goes on.
         Finalists walk for twice as long, on other robots than those of the search and under other pushes.
         """
-        band = band_of(gait)
-        walker = _Walker(self, 0, band)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(STURDY, 0)))
-        given = encode(walker.drive, gait, band)
-        found: list[tuple[float, Array]] = []
-        strategy = strategy_about(given, SPREAD, self.population, rng)
-        for generation in range(self.generations):
-            brief = generation < BRIEF * self.generations
-            points = strategy.ask()
-            trials = walker.brief(points) if brief else walker.halved(points)
-            strategy.tell(points, [-trial.score for trial in trials])
-            top = max(range(len(trials)), key=lambda k: trials[k].score)
-            if not brief:
-                found.append((trials[top].score, points[top]))
-        best = sorted(found, key=lambda pair: -pair[0])[:FINALISTS]
-        final = _Walker(replace(self, seconds=2 * self.seconds), 1, band)
-        tried = final.trials([given, *(point for _, point in best), strategy.mean])
+        walker, final = _Walker(self, 0), _Walker(replace(self, seconds=2 * self.seconds), 1)
+        first, brief = round(HEAT * self.generations), math.ceil(BRIEF * self.generations)
+        searches = [_Search(walker.within(band_of(gait)), gait, self) for gait in gaits]
+        for search in searches:
+            for _ in range(first):
+                search.advance(brief=True)
+        best = max(searches, key=lambda search: search.top)
+        for generation in range(first, self.generations):
+            best.advance(brief=generation < brief)
+        tried = final.within(best.walker.band).trials(best.finalists())
         return tuple(sorted(tried, key=lambda trial: -trial.score)[:LEFT])
-
-    def tried(self, gait: Gait) -> Trial:
-        """A gait as it is, or as the nearest one within the joints' ranges, on all robots."""
-        band = band_of(gait)
-        walker = _Walker(self, 0, band)
-        return walker.trials([encode(walker.drive, gait, band)])[0]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,13 +101,39 @@ class Trial:
     least: float
 
 
+class _Search:
+    """A CMA-ES about a gait."""
+
+    def __init__(self, walker: _Walker, gait: Gait, course: Course) -> None:
+        rng = np.random.default_rng(np.random.SeedSequence(course.seed, spawn_key=(STURDY, 0)))
+        self.walker, self.given = walker, encode(walker.drive, gait, walker.band)
+        self.strategy = strategy_about(self.given, SPREAD, course.population, rng)
+        self.top = -np.inf  # best score of the last generation [m/s]
+        self._found: list[tuple[float, Array]] = []
+
+    def advance(self, *, brief: bool) -> None:
+        """One generation, on a few robots or on all; the best of the latter may become finalists."""
+        points = self.strategy.ask()
+        trials = self.walker.brief(points) if brief else self.walker.halved(points)
+        self.strategy.tell(points, [-trial.score for trial in trials])
+        top = max(range(len(trials)), key=lambda k: trials[k].score)
+        self.top = trials[top].score
+        if not brief:
+            self._found.append((self.top, points[top]))
+
+    def finalists(self) -> list[Array]:
+        """What was given, the best of the best generations, and what the search believes in."""
+        best = sorted(self._found, key=lambda pair: -pair[0])[:FINALISTS]
+        return [self.given, *(point for _, point in best), self.strategy.mean]
+
+
 class _Walker:
     """A course with the robots settled and drawn; every gait meets the same ones, but its own pushes and noise."""
 
-    def __init__(self, course: Course, number: int, band: Band = FREQUENCY) -> None:
+    def __init__(self, course: Course, number: int) -> None:
         """Draw the robots of the course; another number draws others."""
         model = course.model
-        self.course, self._number, self._band = course, number, band
+        self.course, self._number, self.band = course, number, FREQUENCY
         self.drive, self._length = drive_of(model), body_length(model)
         start, ends = settle(model), _ends(course.ranges)
         others = [(other, settle(other)) for other in course.others]
@@ -128,6 +145,12 @@ class _Walker:
         self._pushed = [(*kind, self._drawn(kind[0], *pushed)) for kind in kinds]
         self._rest = [(model, start, self._drawn(model, *ends[FEW:]))]
         self._rest += [(*other, self._drawn(other[0], *skins)) for other in others]
+
+    def within(self, band: Band) -> _Walker:
+        """The same robots for gaits of another band of frequencies [Hz]."""
+        other = copy(self)
+        other.band = band
+        return other
 
     def _rng(self, purpose: int) -> np.random.Generator:
         key = (STURDY, 1 + self._number, purpose)
@@ -164,13 +187,13 @@ class _Walker:
     def _tried(
         self, points: Sequence[Array], walks: Sequence[Walks], pushed: Sequence[Walks] | None = None
     ) -> list[Trial]:  # fmt: skip
-        gaits = [decode(self.drive, point, self._band) for point in points]
+        gaits = [decode(self.drive, point, self.band) for point in points]
         pushed = [[] for _ in gaits] if pushed is None else pushed
         return [trial_of(*each, self.course.pace) for each in zip(gaits, walks, pushed, strict=True)]
 
     def _walked(self, points: Sequence[Array], robots: Sequence[Robots]) -> list[Walks]:
         """All walks of every gait, all gaits at once."""
-        gaits = [decode(self.drive, point, self._band) for point in points]
+        gaits = [decode(self.drive, point, self.band) for point in points]
         walks: list[Walks] = [[] for _ in gaits]
         for model, start, draws in robots:
             count = len(draws.encoder_offset)

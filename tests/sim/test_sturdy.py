@@ -12,6 +12,7 @@ from mfg.description import Description
 from sim.actor import Gait, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
+from sim.gaits import BRISK, FREQUENCY
 from sim.herd import with_latency_room
 from sim.model import make_spec
 from sim.observation import ObservationLayout, normaliser
@@ -37,7 +38,7 @@ def course(quadruped: Description) -> Course:
 
 @pytest.fixture(scope="module")
 def found(course: Course) -> tuple[Trial, ...]:
-    return course(GAIT)
+    return course([GAIT])
 
 
 def test_a_walk_is_worth_its_speed_along_the_heading_up_to_the_pace() -> None:
@@ -64,11 +65,11 @@ def test_a_search_repeats_and_its_result_walked_at_least_as_well_as_what_was_giv
 ) -> None:
     best, second = found
     assert best.score >= second.score
-    assert best.score >= replace(course, generations=0)(GAIT)[0].score - 0.05  # beside others, under other pushes
-    again = course(GAIT)[0]
+    assert best.score >= replace(course, generations=0)([GAIT])[0].score - 0.05  # beside others, under other pushes
+    again = course([GAIT])[0]
     assert (again.score, again.least, again.heading) == (best.score, best.least, best.heading)
     np.testing.assert_array_equal(again.gait.offset, best.gait.offset)
-    assert replace(course, seed=1)(GAIT)[0].score != pytest.approx(best.score)
+    assert replace(course, seed=1)([GAIT])[0].score != pytest.approx(best.score)
 
 
 def test_the_worst_walk_counts_as_much_as_all() -> None:
@@ -171,6 +172,25 @@ def test_pads_are_tried_at_both_ends_of_their_stiffness(course: Course) -> None:
     np.testing.assert_allclose(drawn[0], WIDE.skin)
 
 
+def test_only_the_search_that_comes_farthest_goes_on(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = Gait(3.0, np.full(4, 0.2), np.arange(4.0), np.zeros(4))
+    asked: list[tuple[str, Any]] = []
+
+    def tried(name: str) -> Any:
+        def some(self: Any, points: Any) -> list[Trial]:
+            asked.append((name, self.band))
+            return [Trial(GAIT, 0.0, 2.0 if self.band == BRISK else 1.0, 0.0) for _ in points]
+
+        return some
+
+    for name in ("brief", "halved", "trials"):
+        monkeypatch.setattr(_Walker, name, tried(name))
+    replace(course, generations=12)([GAIT, quick, GAIT])
+    heats = [FREQUENCY] * 2 + [BRISK] * 2 + [FREQUENCY] * 2
+    assert [band for _, band in asked] == heats + [BRISK] * 11
+    assert [name for name, _ in asked] == ["brief"] * 6 + ["brief"] * 3 + ["halved"] * 7 + ["trials"]
+
+
 def test_a_search_is_brief_before_it_is_whole(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
@@ -183,6 +203,6 @@ def test_a_search_is_brief_before_it_is_whole(course: Course, monkeypatch: pytes
 
     for name in ("brief", "halved", "trials"):
         monkeypatch.setattr(_Walker, name, tried(name))
-    best, second = replace(course, generations=5)(GAIT)
+    best, second = replace(course, generations=5)([GAIT])
     assert asked == ["brief"] * 2 + ["halved"] * 3 + ["trials"]
     assert (best.score, second.score) == (4, 3)  # of five finalists: what was given, three generations' best, the mean
