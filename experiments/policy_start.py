@@ -28,7 +28,7 @@ GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
 SEARCHES = 3  # for open-loop gaits in each band of frequencies
 COURSES = 2  # on which those share, side by side
 ENOUGH = 0.75  # of the pace: no free start races against a gait that holds and goes so fast
-TIMEOUT = 3600.0  # of one runner's heat, or of one gait on its course [s]
+TIMEOUT = 3600.0  # of one search, one course or one heat [s]
 
 
 class Impossible(ValueError):
@@ -106,6 +106,8 @@ def gaits(config: Policy, model: Model, workers: int) -> list[GaitResult]:
     keys = [(band, number) for band in range(len(BANDS)) for number in range(SEARCHES)]
     with Pool(Search(model, config.seed), workers, TIMEOUT) as pool:
         found, trouble = _in_order(pool, keys, "searches")
+    if trouble:
+        say(f"  a search was lost: {trouble}")
     alive = [gait for gait in found if gait is not None]
     if not alive:
         raise Impossible(f"no gait of {config.robot}: {trouble or 'its physics explodes under each that was tried'}")

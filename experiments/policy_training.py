@@ -216,7 +216,7 @@ def curves(chunk: Chunk) -> dict[str, float]:
 
 
 def told(chunk: Chunk) -> str:
-    """A chunk in one line."""
+    """A chunk in one line; what it keeps in the worst corner is no more than that where it could not be the best."""
     v = chunk.verdict
     return (f"{chunk.steps:>9} steps: {chunk.exploring_speed:.2f} m/s exploring; the policy itself {v.speed:.2f} m/s, "
             f"{v.robust_speed:.2f} m/s randomised with {v.falls} falls of {v.episodes}{worst_corner(v)}")  # fmt: skip

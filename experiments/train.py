@@ -67,7 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", type=Path, metavar="BLUEPRINT", help="a blueprint folder, its robot.xml, or a design")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the policy bundle")
     parser.add_argument("--solver", choices=SOLVERS, help=f"by which rules a design is built ({DEFAULT_SOLVER})")
-    parser.add_argument("--steps", type=int, help="control periods of experience after the race (600000)")
+    parser.add_argument("--steps", type=int, help="control periods of experience after the race (400000)")
     parser.add_argument("--starts", type=int, help="how many starts race: a gait, free headings (3)")
     parser.add_argument("--seed", type=seed, help="of everything random (0)")
     parser.add_argument("--task", choices=TASKS, help="what is learned (speed)")

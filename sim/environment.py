@@ -26,7 +26,7 @@ REACH = 0.6  # farthest that an action of 1 goes from the centre [rad]
 BLEND = 0.6  # share of the way to a new target that is gone in one control period
 STEP_SHARE = 0.9  # of what a motor can turn in a period: the robot's guard stops at 1
 PACE_TIME = 0.5  # over which a robot's pace is averaged, by a first-order lag [s]
-HEAT_TIME = 2.0  # and what its motors give
+HEAT_TIME = 2.0  # and the square of what its motors are loaded [s]
 MOST_EXPLOSIONS = 16  # states that are kept for a look
 
 

@@ -160,7 +160,7 @@ def score(behaviour: Behaviour) -> float:
 
 
 def band_of(gait: Gait) -> Band:
-    """The range of frequencies in which a gait is to be searched on [Hz]."""
+    """The range of frequencies in which a search goes on from a gait [Hz]; what lies in both is slow."""
     return BRISK if gait.frequency > FREQUENCY[1] else FREQUENCY
 
 

@@ -66,7 +66,7 @@ class Ppo:
 
 USUAL = Ppo()
 # Weight of the critic's loss. The gradients of policy and critic are cut to one length together: at the usual 0.5 the
-# critic's, greatest where robots fall, left little of the policy's just there. To Adam its scale means nothing else.
+# critic's, greatest where robots fall, left little of the policy's just there. Adam hardly minds its scale.
 CRITIC = 0.01
 
 

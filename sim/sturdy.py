@@ -32,7 +32,7 @@ SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each 
 HEAT = 1 / 6  # share of the generations after which only one search of a course goes on
 BRIEF = 0.4  # share of the generations that are tried in brief
 FINALISTS, LEFT = 4, 2  # the best of as many generations walk once more; and how many of those are left
-DRAWN = 4  # walks of a gait with everything drawn, on all models together, and with pushes ...
+DRAWN = 4  # walks of a gait with everything drawn, the same robots on every model, and with pushes ...
 PUSH_EVERY = 2.0  # ... about so often, since walks are short [s]
 FEW = 3  # walks on the model that every gait makes: as it is, and at both ends of friction
 BEHIND = 1e-6  # what tells a gait that was tried on a few robots from the last that was tried on all [m/s]
@@ -45,10 +45,11 @@ class Course:
 
     Attributes:
         model: of the robot, made by `sim.herd.with_latency_room`.
-        others: the same robot modelled otherwise, on each of which it walks as it is and at both ends of its stiffness.
+        others: the same robot modelled otherwise, on each of which gaits walk as it is, at both ends of its stiffness,
+            and with everything drawn.
         pace: how fast it is to be [m/s].
-        generations: of the CMA-ES. In the first two fifths of them gaits walk on a few of the robots only, then the
-            better half of each on all.
+        generations: of the CMA-ES. The first sixth decides which gait is searched about. In the first two fifths gaits
+            walk on a few of the robots only, then the better half of each generation on all.
         ranges: what the robots may differ in.
         seed: of all that is drawn.
         seconds: of each walk.
@@ -71,7 +72,8 @@ class Course:
         Finalists walk for twice as long, on other robots than those of the search and under other pushes.
         """
         walker, final = _Walker(self, 0), _Walker(replace(self, seconds=2 * self.seconds), 1)
-        first, brief = round(HEAT * self.generations), math.ceil(BRIEF * self.generations)
+        first = min(self.generations, max(1, round(HEAT * self.generations)))
+        brief = math.ceil(BRIEF * self.generations)
         searches = [_Search(walker.within(band_of(gait)), gait, self) for gait in gaits]
         for search in searches:
             for _ in range(first):

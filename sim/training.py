@@ -19,6 +19,7 @@ from sim.verdict import Verdict, evaluate, shared_out, stood, verdict_of
 
 Array = NDArray[np.float64]
 
+CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 LEARN = 0  # purpose of randomness; 1 is that of `sim.verdict`, 2 that of `sim.race`
 
 
@@ -35,7 +36,6 @@ class Training:
         randomisation: what each episode draws; None trains on the model as it is.
         episode: how episodes run.
         rhythm_spread: of the first exploration about a rhythm over that of a free start.
-        rhythm_reach: farthest that an action of 1 goes from a rhythm [rad].
         rhythm_rate: of the learning rate about a rhythm over that of a free start.
         last_spread: standard deviation of what the policy says at the end.
         share: of the copies and of the episodes of an evaluation that have another model of the robot, if there is one.
@@ -50,7 +50,6 @@ class Training:
     randomisation: Randomisation | None = WIDE
     episode: Episode = TEN_SECONDS
     rhythm_spread: float = 2 / 3
-    rhythm_reach: float = 0.45
     rhythm_rate: float = 1.0
     last_spread: float = 0.08
     share: float = 0.25
@@ -60,7 +59,7 @@ class Training:
         """Check the bounds."""
         if self.steps < 1 or self.chunk < 1:
             raise ValueError(f"training: steps {self.steps} and chunk {self.chunk} must be 1 or more")
-        for name in ("rhythm_spread", "rhythm_reach", "rhythm_rate"):
+        for name in ("rhythm_spread", "rhythm_rate"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"training: {name} is {getattr(self, name)}; it must lie in (0, 1]")
         if not 0.01 <= self.last_spread <= self.ppo.spread:
@@ -232,7 +231,7 @@ def environment_of(
     model: Model, training: Training, start: Start, nthread: int = 1, count: int | None = None
 ) -> Environment:
     """Where a training from a start takes place, with so many copies, all of the learner's by default."""
-    reach = REACH if start.rhythm is None else training.rhythm_reach
+    reach = REACH if start.rhythm is None else CORRECTION
     return Environment(
         model, training.ppo.copies if count is None else count, replace(training.task, heading=start.heading),
         action_map(model, start.posture, reach), training.randomisation, training.episode, start.rhythm, nthread,

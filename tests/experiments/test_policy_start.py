@@ -49,7 +49,7 @@ def test_no_number_of_workers_changes_the_gaits(model: Any, found: Any) -> None:
 
 
 def test_a_robot_that_explodes_under_every_gait_is_told(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def diverged(*_: Any) -> None:
+    def diverged(*_: Any, **__: Any) -> None:
         raise Diverged("no number")
 
     monkeypatch.setattr("sim.gaits.search_gait", diverged)

@@ -113,8 +113,13 @@ def test_the_best_so_far_has_the_best_verdict(model: Any, monkeypatch: pytest.Mo
 def test_a_gait_as_it_is_comes_first_and_stays_until_a_policy_does_better(
     model: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    speeds = iter([0.3, 0.2, 0.4])
-    monkeypatch.setattr("sim.training.evaluate", lambda *_, **__: Verdict(s := next(speeds), s, 0, 10, 0))
+    speeds, beaten = iter([0.3, 0.2, 0.4]), []
+
+    def judged(*_: Any, to_beat: float, **__: Any) -> Verdict:
+        beaten.append(to_beat)
+        return Verdict(speed := next(speeds), speed, 0, 10, 0)
+
+    monkeypatch.setattr("sim.training.evaluate", judged)
     trainer = run(model, CORRECTED, chunks=1)
     assert trainer.best is not None
     assert trainer.best.rhythm is GAIT
@@ -126,6 +131,7 @@ def test_a_gait_as_it_is_comes_first_and_stays_until_a_policy_does_better(
     later.advance()
     assert later.best_verdict is not None
     assert later.best_verdict.speed == 0.4
+    assert beaten == [-np.inf, 0.3, 0.3]
     assert later.best is not None
     assert later.best.layers[-1][0].any()
 
