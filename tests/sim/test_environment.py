@@ -77,6 +77,14 @@ def test_an_action_that_is_no_number_ends_that_copy_alone(model: Any, nonsense: 
     np.testing.assert_array_equal(bad.reward[[0, 2]], good.reward[[0, 2]])
 
 
+def assert_lags(mean: np.ndarray, value: np.ndarray, time: float) -> None:
+    """In twenty periods of an episode and the first of the next, `mean` follows `value` by a first-order lag."""
+    share = CONTROL_PERIOD / time
+    np.testing.assert_allclose(mean[0], share * value[0])
+    np.testing.assert_allclose(mean[1:20], mean[:19] + share * (value[1:20] - mean[:19]))
+    np.testing.assert_allclose(mean[20], share * value[20])  # of a new episode
+
+
 def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Any] = []
 
@@ -91,10 +99,7 @@ def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: 
     for _ in range(21):
         environment.step(np.full((2, 4), 0.5))
     velocity, pace = np.moveaxis(seen, 1, 0)
-    share = CONTROL_PERIOD / PACE_TIME
-    np.testing.assert_allclose(pace[0], share * velocity[0])
-    np.testing.assert_allclose(pace[1:20], pace[:19] + share * (velocity[1:20] - pace[:19]))
-    np.testing.assert_allclose(pace[20], share * velocity[20])  # of a new episode
+    assert_lags(pace, velocity, PACE_TIME)
     assert np.abs(pace).max() > 0.0
 
 
@@ -114,10 +119,7 @@ def test_motors_warm_up_by_the_square_of_their_load(model: Any, monkeypatch: pyt
     for _ in range(21):
         environment.step(np.full((2, 4), 0.5))
     load, heat = np.moveaxis(seen, 1, 0)
-    share = CONTROL_PERIOD / HEAT_TIME
-    np.testing.assert_allclose(heat[0], share * load[0])
-    np.testing.assert_allclose(heat[1:20], heat[:19] + share * (load[1:20] - heat[:19]))
-    np.testing.assert_allclose(heat[20], share * load[20])  # of a new episode
+    assert_lags(heat, load, HEAT_TIME)
     assert heat.min() >= 0.0
     assert heat.max() > 0.0
 
