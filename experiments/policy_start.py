@@ -26,7 +26,6 @@ Result = TypeVar("Result")
 
 GAIT = 3  # purpose of randomness beside those of `sim.training` and `sim.race`
 SEARCHES = 3  # for open-loop gaits in each band of frequencies
-COURSES = 2  # on which those share, side by side
 ENOUGH = 0.75  # of the pace: no free start races against a gait that holds and goes so fast
 TIMEOUT = 3600.0  # of one search, one course or one heat [s]
 
@@ -117,20 +116,22 @@ def gaits(config: Policy, model: Model, workers: int) -> list[GaitResult]:
 def sturdier(
     found: Sequence[GaitResult], config: Policy, model: Model, others: Sequence[Model], workers: int
 ) -> list[Trial]:  # fmt: skip
-    """Gaits that hold on all robots that training draws, the best first; courses share what is given, each leaves two.
+    """Gaits that hold on all robots that training draws, the best first: two of each band of frequencies.
 
     Raises:
         Impossible: if none of them could be tried.
     """
+    from sim.gaits import BANDS, band_of
     from sim.randomisation import EXACT
     from sim.sturdy import Course
 
     training = config.training(model)
     course = Course(model, tuple(others), training.task.target_speed, config.generations,
                     training.randomisation or EXACT, config.seed)  # fmt: skip
-    shares = [[result.gait for result in found[k::COURSES]] for k in range(min(COURSES, len(found)))]
+    # Quick gaits begin behind slow ones, so each band has its own course.
+    bands = [[result.gait for result in found if band_of(result.gait) == band] for band in BANDS]
     say("making them hold where friction, contact, latency, gains and the ground differ")
-    left = _tried(course, shares, config.robot, workers)
+    left = _tried(course, [gaits for gaits in bands if gaits], config.robot, workers)
     return sorted((trial for trials in left for trial in trials), key=lambda trial: -trial.score)
 
 

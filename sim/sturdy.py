@@ -6,7 +6,6 @@ robots of a course at once, and the worst of them counts as much as all.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from sim.actor import Gait
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
-from sim.gaits import FREQUENCY, Band, band_of, decode, encode, strategy_about
+from sim.gaits import BRISK, FREQUENCY, Band, band_of, decode, encode, strategy_about
 from sim.model import Model, body_length, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import EXACT, WIDE, Draws, Randomisation, at_end, draw, joined
@@ -29,7 +28,7 @@ Robots = tuple[Model, Array, Draws]  # a model, its settled state, and one row f
 
 STURDY = 5  # purpose of randomness beside those of `sim.training`, `sim.race` and the commands that train
 SPREAD = 0.15  # the first standard deviation of the CMA-ES, as a share of each parameter's range
-HEAT = 1 / 6  # share of the generations after which only one search of a course goes on
+HEAT = 1 / 6  # share of the generations after which only one search about slow gaits goes on
 BRIEF = 0.4  # share of the generations that are tried in brief
 FINALISTS, LEFT = 4, 2  # the best of as many generations walk once more; and how many of those are left
 DRAWN = 4  # walks of a gait with everything drawn, the same robots on every model, and with pushes ...
@@ -48,8 +47,8 @@ class Course:
         others: the same robot modelled otherwise, on each of which gaits walk as it is, at both ends of its stiffness,
             and with everything drawn.
         pace: how fast it is to be [m/s].
-        generations: of the CMA-ES. The first sixth decides which gait is searched about. In the first two fifths gaits
-            walk on a few of the robots only, then the better half of each generation on all.
+        generations: of the CMA-ES. In the first two fifths gaits walk on a few of the robots only, then the better half
+            of each generation on all.
         ranges: what the robots may differ in.
         seed: of all that is drawn.
         seconds: of each walk.
@@ -68,20 +67,18 @@ class Course:
     def __call__(self, gaits: Sequence[Gait]) -> tuple[Trial, ...]:
         """The best two of a search about one of some gaits, which is itself among the finalists; the best comes first.
 
-        About each a search begins; only the one that has come farthest after a sixth of the generations goes on.
+        All gaits are of one band of frequencies. Of slow ones, about each a search begins, and only the one that has
+        come farthest after a sixth of the generations goes on; of quick ones, the best on all robots is searched about.
         Finalists walk for twice as long, on other robots than those of the search and under other pushes.
         """
+        band = band_of(gaits[0])
         walker, final = _Walker(self, 0), _Walker(replace(self, seconds=2 * self.seconds), 1)
-        first = min(self.generations, max(1, round(HEAT * self.generations)))
-        brief = math.ceil(BRIEF * self.generations)
-        searches = [_Search(walker.within(band_of(gait)), gait, self) for gait in gaits]
-        for search in searches:
-            for _ in range(first):
-                search.advance(brief=True)
-        best = max(searches, key=lambda search: search.top)
-        for generation in range(first, self.generations):
-            best.advance(brief=generation < brief)
-        tried = final.within(best.walker.band).trials(best.finalists())
+        searches = [_Search(walker.within(band), gait, self) for gait in gaits]
+        # A heat on few robots misjudges quick gaits (docs/learning.md).
+        best = _best_given(searches) if band == BRISK else _best_of_heat(searches)
+        while best.done < self.generations:
+            best.advance()
+        tried = final.within(band).trials(best.finalists())
         return tuple(sorted(tried, key=lambda trial: -trial.score)[:LEFT])
 
 
@@ -110,14 +107,17 @@ class _Search:
         rng = np.random.default_rng(np.random.SeedSequence(course.seed, spawn_key=(STURDY, 0)))
         self.walker, self.given = walker, encode(walker.drive, gait, walker.band)
         self.strategy = strategy_about(self.given, SPREAD, course.population, rng)
+        self.generations, self.done = course.generations, 0
         self.top = -np.inf  # best score of the last generation [m/s]
         self._found: list[tuple[float, Array]] = []
 
-    def advance(self, *, brief: bool) -> None:
+    def advance(self) -> None:
         """One generation, on a few robots or on all; the best of the latter may become finalists."""
+        brief = self.done < BRIEF * self.generations
         points = self.strategy.ask()
         trials = self.walker.brief(points) if brief else self.walker.halved(points)
         self.strategy.tell(points, [-trial.score for trial in trials])
+        self.done += 1
         top = max(range(len(trials)), key=lambda k: trials[k].score)
         self.top = trials[top].score
         if not brief:
@@ -127,6 +127,19 @@ class _Search:
         """What was given, the best of the best generations, and what the search believes in."""
         best = sorted(self._found, key=lambda pair: -pair[0])[:FINALISTS]
         return [self.given, *(point for _, point in best), self.strategy.mean]
+
+
+def _best_of_heat(searches: Sequence[_Search]) -> _Search:
+    """The one that has come farthest after the first generations."""
+    for search in searches:
+        for _ in range(min(search.generations, max(1, round(HEAT * search.generations)))):
+            search.advance()
+    return max(searches, key=lambda search: search.top)
+
+
+def _best_given(searches: Sequence[_Search]) -> _Search:
+    """The one about the gait that does best on all robots."""
+    return max(searches, key=lambda search: search.walker.trials([search.given])[0].score)
 
 
 class _Walker:

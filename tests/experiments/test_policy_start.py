@@ -99,6 +99,25 @@ def test_gaits_are_made_to_hold_before_they_race_by_any_number_of_workers(model:
     assert all(one.score >= next.score for one, next in itertools.pairwise(here))
 
 
+def test_each_band_has_a_course_with_its_best_gait_first(
+    model: Any, found: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def course(_: Any, gaits: Any) -> tuple[Trial, ...]:
+        asked.append(gaits)
+        return (Trial(gaits[0], 0.0, 0.1, 0.0),)
+
+    monkeypatch.setattr("sim.sturdy.Course.__call__", course)
+    sturdier(found, CONFIG, model, (), 0)
+    assert [{band_of(gait) for gait in gaits} for gaits in asked] == [{band} for band in BANDS]
+    places = [[[result.gait for result in found].index(gait) for gait in gaits] for gaits in asked]
+    assert all(order == sorted(order) for order in places)
+    asked.clear()
+    sturdier(found[:1], CONFIG, model, (), 0)
+    assert asked == [[found[0].gait]]
+
+
 def test_gaits_that_hold_come_in_the_order_of_their_scores(
     model: Any, found: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,7 +130,8 @@ def test_gaits_that_hold_come_in_the_order_of_their_scores(
     monkeypatch.setattr("sim.sturdy.Course.__call__", course)
     held = sturdier(found, CONFIG, model, (), 0)
     assert [trial.score for trial in held] == pytest.approx([0.4, 0.3, 0.25, 0.15])
-    assert [trial.gait for trial in held] == [found[k].gait for k in (1, 0, 1, 0)]
+    slow, quick = (next(result.gait for result in found if band_of(result.gait) == band) for band in BANDS)
+    assert [trial.gait for trial in held] == [quick, slow, quick, slow]
 
 
 def test_gaits_that_come_to_nothing_are_told(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -12,7 +14,7 @@ from mfg.description import Description
 from sim.actor import Gait, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
-from sim.gaits import BRISK, FREQUENCY
+from sim.gaits import decode
 from sim.herd import with_latency_room
 from sim.model import make_spec
 from sim.observation import ObservationLayout, normaliser
@@ -39,6 +41,27 @@ def course(quadruped: Description) -> Course:
 @pytest.fixture(scope="module")
 def found(course: Course) -> tuple[Trial, ...]:
     return course([GAIT])
+
+
+def _asked(monkeypatch: pytest.MonkeyPatch, score: Callable[[Gait], float]) -> list[tuple[str, float]]:
+    """What a course asks of its robots from now on, and the mean frequency of the gaits [Hz].
+
+    Scores are given; searches stay near where they begin.
+    """
+    asked: list[tuple[str, float]] = []
+
+    def tried(name: str) -> Any:
+        def some(self: Any, points: Any) -> list[Trial]:
+            gaits = [decode(self.drive, point, self.band) for point in points]
+            asked.append((name, float(np.mean([gait.frequency for gait in gaits]))))
+            return [Trial(gait, 0.0, score(gait), 0.0) for gait in gaits]
+
+        return some
+
+    for name in ("brief", "halved", "trials"):
+        monkeypatch.setattr(_Walker, name, tried(name))
+    monkeypatch.setattr("sim.sturdy.SPREAD", 0.01)
+    return asked
 
 
 def test_a_walk_is_worth_its_speed_along_the_heading_up_to_the_pace() -> None:
@@ -172,37 +195,31 @@ def test_pads_are_tried_at_both_ends_of_their_stiffness(course: Course) -> None:
     np.testing.assert_allclose(drawn[0], WIDE.skin)
 
 
-def test_only_the_search_that_comes_farthest_goes_on(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = Gait(3.0, np.full(4, 0.2), np.arange(4.0), np.zeros(4))
-    asked: list[tuple[str, Any]] = []
-
-    def tried(name: str) -> Any:
-        def some(self: Any, points: Any) -> list[Trial]:
-            asked.append((name, self.band))
-            return [Trial(GAIT, 0.0, 2.0 if self.band == BRISK else 1.0, 0.0) for _ in points]
-
-        return some
-
-    for name in ("brief", "halved", "trials"):
-        monkeypatch.setattr(_Walker, name, tried(name))
-    replace(course, generations=12)([GAIT, quick, GAIT])
-    heats = [FREQUENCY] * 2 + [BRISK] * 2 + [FREQUENCY] * 2
-    assert [band for _, band in asked] == heats + [BRISK] * 11
+def test_of_slow_gaits_the_search_that_comes_farthest_goes_on(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = [replace(GAIT, frequency=frequency) for frequency in (0.8, 1.2, 1.6)]
+    asked = _asked(monkeypatch, lambda gait: -abs(gait.frequency - 1.2))
+    replace(course, generations=12)(slow)
     assert [name for name, _ in asked] == ["brief"] * 6 + ["brief"] * 3 + ["halved"] * 7 + ["trials"]
+    assert [round(frequency, 1) for _, frequency in asked[:6]] == [0.8, 0.8, 1.2, 1.2, 1.6, 1.6]
+    assert all(1.0 < frequency < 1.4 for _, frequency in asked[6:])
+
+
+def test_of_quick_gaits_the_best_on_all_robots_is_searched_about(
+    course: Course, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = [replace(GAIT, frequency=frequency) for frequency in (3.0, 4.0, 5.0)]
+    asked = _asked(monkeypatch, lambda gait: -abs(gait.frequency - 4.0))
+    replace(course, generations=12)(quick)
+    assert [name for name, _ in asked] == ["trials"] * 3 + ["brief"] * 5 + ["halved"] * 7 + ["trials"]
+    assert [round(frequency, 1) for _, frequency in asked[:3]] == [3.0, 4.0, 5.0]
+    assert all(3.5 < frequency < 4.5 for _, frequency in asked[3:])
 
 
 def test_a_search_is_brief_before_it_is_whole(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-
-    def tried(name: str) -> Any:
-        def some(self: Any, points: Any) -> list[Trial]:
-            asked.append(name)
-            return [Trial(GAIT, 0.0, score, 0.0) for score in range(len(points))]
-
-        return some
-
-    for name in ("brief", "halved", "trials"):
-        monkeypatch.setattr(_Walker, name, tried(name))
+    scores = itertools.count()
+    asked = _asked(monkeypatch, lambda _: next(scores))
     best, second = replace(course, generations=5)([GAIT])
-    assert asked == ["brief"] * 2 + ["halved"] * 3 + ["trials"]
-    assert (best.score, second.score) == (4, 3)  # of five finalists: what was given, three generations' best, the mean
+    assert [name for name, _ in asked] == ["brief"] * 2 + ["halved"] * 3 + ["trials"]
+    assert (
+        next(scores) - best.score == best.score - second.score == 1
+    )  # of five finalists: what was given, three generations' best, the mean
