@@ -181,7 +181,7 @@ def on_processes(model: Model, seed: int, count: int, steps: int = PROCESS_STEPS
     import torch
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
-    from sim.learning import ppo_on
+    from sim.ppo import ppo_on
 
     torch.set_num_threads(1)
     usual = _settings()
@@ -231,6 +231,6 @@ def _learn(learner: Learner, steps: int, rng: np.random.Generator) -> float:
 
 
 def _settings() -> Any:
-    from sim.learning import USUAL
+    from sim.ppo import USUAL
 
     return USUAL

@@ -72,8 +72,8 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         from dataclasses import replace
 
         from sim.environment import TEN_SECONDS
-        from sim.learning import USUAL
         from sim.model import body_length
+        from sim.ppo import USUAL
         from sim.randomisation import WIDE
         from sim.tasks import STEADY, Goal
         from sim.training import Training

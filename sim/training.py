@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from sim.actor import Gait, Perceptron
 from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
-from sim.learning import USUAL, Learner, Ppo
+from sim.learning import Learner
 from sim.mixture import Mixture
 from sim.model import Model
+from sim.ppo import USUAL, Ppo
 from sim.randomisation import RANDOMISED, WIDE, Randomisation
 from sim.tasks import FAST, SCALE, Task
 from sim.verdict import Verdict, evaluate, shared_out, stood, verdict_of

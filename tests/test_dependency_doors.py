@@ -48,7 +48,7 @@ DOORS: dict[str, set[str]] = {
         "experiments/toml_text.py",
     },
     "gymnasium": {"sim/gym_env.py", "experiments/bench_training.py"},
-    "stable_baselines3": {"sim/learning.py", "experiments/bench_training.py"},
+    "stable_baselines3": {"sim/ppo.py", "experiments/bench_training.py"},
     "tqdm": {"experiments/output.py"},
     "torch": {
         "decoder/examples.py",
@@ -62,6 +62,7 @@ DOORS: dict[str, set[str]] = {
         "experiments/decoder_training.py",
         "experiments/doctor.py",
         "sim/learning.py",
+        "sim/ppo.py",
     },
     "safetensors": {"decoder/weights.py"},
     "tensorboardX": {"experiments/events.py"},

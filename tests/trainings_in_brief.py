@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.actor import Gait
-from sim.learning import USUAL
+from sim.ppo import USUAL
 from sim.training import Start, Training
 
 SMALL = Training(

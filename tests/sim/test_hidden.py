@@ -14,8 +14,9 @@ from mfg.description import Description
 from sim import hidden
 from sim.environment import Environment
 from sim.herd import with_latency_room
-from sim.learning import Learner, Vector
+from sim.learning import Learner
 from sim.model import make_spec
+from sim.ppo import Vector
 from sim.randomisation import WIDE, at_end, draw, nominal
 from sim.training import environment_of
 

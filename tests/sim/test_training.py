@@ -13,8 +13,9 @@ from trainings_in_brief import CORRECTED, FREE, GAIT, SMALL
 from mfg.description import Description
 from sim.environment import TEN_SECONDS, Environment
 from sim.herd import with_latency_room
-from sim.learning import Unlearnable, Vector
+from sim.learning import Unlearnable
 from sim.model import make_spec
+from sim.ppo import Vector
 from sim.skin import Fidelity
 from sim.training import Start, Trainer, first_rate, first_spread, start_of
 from sim.verdict import Verdict
