@@ -174,7 +174,7 @@ def on_batch(model: Model, seed: int, nthread: int, steps: int = STEPS) -> float
 
 
 def on_processes(model: Model, seed: int, count: int, steps: int = PROCESS_STEPS) -> float:
-    """The same as `on_batch` by Stable-Baselines3 alone: its SubprocVecEnv on the registered environment.
+    """The same as `on_batch` on Stable-Baselines3's SubprocVecEnv, with the registered environment in each process.
 
     Every update has as many samples as ours; starting the processes is not counted.
     """

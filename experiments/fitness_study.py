@@ -59,8 +59,9 @@ class Ladder:
         from mfg.description import describe
         from sim.gaits import SCREENING, THOROUGH, search_gait
         from sim.herd import with_latency_room
-        from sim.model import body_length, make_spec
+        from sim.model import make_spec
         from sim.race import speed, starts
+        from sim.surfaces import body_length
         from sim.training import Trainer, Training
 
         design = make_decoder(self.decoder).decode(latent[None])[0]

@@ -72,9 +72,9 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         from dataclasses import replace
 
         from sim.environment import TEN_SECONDS
-        from sim.model import body_length
         from sim.ppo import USUAL
         from sim.randomisation import WIDE
+        from sim.surfaces import body_length
         from sim.tasks import STEADY, Goal
         from sim.training import Training
 

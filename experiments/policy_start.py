@@ -129,9 +129,9 @@ def sturdier(
     course = Course(model, tuple(others), training.task.target_speed, config.generations,
                     training.randomisation or EXACT, config.seed)  # fmt: skip
     # Quick gaits begin behind slow ones, so each band has its own course.
-    bands = [[result.gait for result in found if band_of(result.gait) == band] for band in BANDS]
+    shares = [[result.gait for result in found if band_of(result.gait) == band] for band in BANDS]
     say("making them hold where friction, contact, latency, gains and the ground differ")
-    left = _tried(course, [gaits for gaits in bands if gaits], config.robot, workers)
+    left = _tried(course, [share for share in shares if share], config.robot, workers)
     return sorted((trial for trials in left for trial in trials), key=lambda trial: -trial.score)
 
 

@@ -12,10 +12,11 @@ from sim import hidden
 from sim.actor import Gait, smooth_step
 from sim.closed_loop import Senses
 from sim.herd import Herd
-from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, body_length, default_pose, drive_of
+from sim.model import MOTOR_CONSTANT, VOLTAGE, Model, default_pose, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import Randomisation, apply, draw, nominal, push, pushed
 from sim.rollout import CONTROL_PERIOD, FALL_TILT, GRAVITY, LEAD_IN, root_quaternion, settle, turned
+from sim.surfaces import body_length
 from sim.tasks import FAST, SCALE, Goal, Moment, Task, terms
 
 Array = NDArray[np.float64]

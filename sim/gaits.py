@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from mfg.description import Description
 from sim.actor import Gait
-from sim.model import Drive, Model, body_length, drive_of, model_name
+from sim.model import Drive, Model, drive_of, model_name
 from sim.rollout import Behaviour, Diverged, as_model, measure, roll_out, settle
+from sim.surfaces import body_length
 
 Band = tuple[float, float]
 

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation by Stable-Baselines3 on the batched environment: the only importer of that library."""
+"""Proximal policy optimisation by Stable-Baselines3 on the batched environment: the door to that library."""
 
 from __future__ import annotations
 
@@ -51,6 +51,14 @@ class Ppo:
     clip: float = 0.2
     spread: float = 0.6
     units: int = 64
+
+    def __post_init__(self) -> None:
+        """Check that advantages can be normalised."""
+        if self.minibatch < 2 or self.update % self.minibatch == 1:
+            raise ValueError(
+                f"learner: minibatches of {self.minibatch} samples leave a single one of the {self.update} "
+                "of an update; every minibatch needs two"
+            )
 
     @property
     def update(self) -> int:
@@ -182,7 +190,10 @@ class Networks(torch.nn.Module):  # type: ignore[misc]  # as are torch's
 
 
 class ActorCritic(ActorCriticPolicy):  # type: ignore[misc]
-    """The library's, but that the critic may see more than the policy; the same numbers in fewer operations."""
+    """The library's, but that the critic may see more than the policy; the same numbers in fewer operations.
+
+    There is no entropy to reward, and the spread is a schedule's: its own gradient could come out rounded otherwise.
+    """
 
     def __init__(self, *args: Any, seen: int, units: int, **kwargs: Any) -> None:
         """`seen`: how many numbers of an observation the policy sees, the first ones; `units` of each hidden layer."""
@@ -203,12 +214,10 @@ class ActorCritic(ActorCriticPolicy):  # type: ignore[misc]
         said = mean + noise
         return said, value, self._log_density(said, mean)
 
-    def evaluate_actions(
-        self, obs: torch.Tensor, actions: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def evaluate_actions(self, obs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, None]:
         """What the critic expects, the logarithm of the density of what was said, and no entropy."""
         mean, value = self._mean_and_value(obs)
-        return value, self._log_density(actions, mean), torch.zeros(())
+        return value, self._log_density(actions, mean), None
 
     def _mean_and_value(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         latent, known = self.mlp_extractor(self.features_extractor(obs))
@@ -220,7 +229,10 @@ class ActorCritic(ActorCriticPolicy):  # type: ignore[misc]
 
 
 class LeanPPO(PPO):  # type: ignore[misc]
-    """The library's, but that an update works out no statistics that nothing reads; weights come out the same."""
+    """The library's with normalised advantages and one limit to the ratio, and nothing else that an update may have.
+
+    Weights come out the same; the statistics that the library works out beside them nothing reads.
+    """
 
     def train(self) -> None:
         """Go over the experience of a horizon."""
@@ -229,16 +241,21 @@ class LeanPPO(PPO):  # type: ignore[misc]
         self._update_learning_rate(policy.optimizer)
         weights = [weight for weight in policy.parameters() if weight.requires_grad]
         for _ in range(self.n_epochs):
-            for batch in self.rollout_buffer.get(self.batch_size):
-                value, log_density, _ = policy.evaluate_actions(batch.observations, batch.actions)
-                advantage = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
-                ratio = torch.exp(log_density - batch.old_log_prob)
+            (shuffled,) = self.rollout_buffer.get(None)
+            for batch in zip(*(part.split(self.batch_size) for part in shuffled), strict=True):
+                seen, said, _, old, advantage, expected = batch
+                value, log_density, _ = policy.evaluate_actions(seen, said)
+                advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+                ratio = torch.exp(log_density - old)
                 gain = torch.min(advantage * ratio, advantage * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-                loss = self.vf_coef * torch.nn.functional.mse_loss(batch.returns, value.flatten()) - gain
+                loss = self.vf_coef * torch.nn.functional.mse_loss(expected, value.flatten()) - gain
                 policy.optimizer.zero_grad()
                 loss.backward()
                 torch.nn.utils.clip_grad_norm_(weights, self.max_grad_norm)
                 policy.optimizer.step()
+
+    def _update_info_buffer(self, infos: Any, dones: Any = None) -> None:
+        """Keep no statistics of episodes: `Vector` does."""
 
 
 def ppo_on(vector: VecEnv, environment: Environment | Mixture, settings: Ppo, seed: int) -> LeanPPO:
@@ -247,7 +264,7 @@ def ppo_on(vector: VecEnv, environment: Environment | Mixture, settings: Ppo, se
     ppo = LeanPPO(
         ActorCritic, vector, learning_rate=settings.learning_rate, n_steps=settings.horizon,
         batch_size=min(settings.minibatch, settings.update), n_epochs=settings.epochs, gamma=settings.gamma,
-        gae_lambda=settings.trace, clip_range=settings.clip, ent_coef=0.0, vf_coef=CRITIC, max_grad_norm=1.0,
+        gae_lambda=settings.trace, clip_range=settings.clip, vf_coef=CRITIC, max_grad_norm=1.0,
         policy_kwargs={
             "seen": environment.layout.size, "units": settings.units, "log_std_init": float(np.log(settings.spread)),
             "features_extractor_class": Normalise,

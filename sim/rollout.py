@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from mfg.description import Description
 from sim.actor import Gait, smooth_step
-from sim.model import Model, body_length, compile_model, default_pose, drive_of, model_name
+from sim.model import Model, compile_model, default_pose, drive_of, model_name
+from sim.surfaces import body_length
 
 CONTROL_PERIOD = 0.02  # targets change at 50 Hz [s]
 SETTLE = 6.0  # at most so long a robot may drop, topple and rock before any gait [s]

@@ -17,10 +17,11 @@ from sim.actor import Gait
 from sim.closed_loop import roll_out_actor
 from sim.environment import action_map
 from sim.gaits import BRISK, FREQUENCY, Band, band_of, decode, encode, strategy_about
-from sim.model import Model, body_length, drive_of
+from sim.model import Model, drive_of
 from sim.observation import ActionMap, ObservationLayout
 from sim.randomisation import EXACT, WIDE, Draws, Randomisation, at_end, draw, joined
 from sim.rollout import Behaviour, measure, settle
+from sim.surfaces import body_length
 
 Array = NDArray[np.float64]
 Walks = list[Behaviour | None]  # None where the physics exploded
@@ -70,8 +71,13 @@ class Course:
         All gaits are of one band of frequencies. Of slow ones, about each a search begins, and only the one that has
         come farthest after a sixth of the generations goes on; of quick ones, the best on all robots is searched about.
         Finalists walk for twice as long, on other robots than those of the search and under other pushes.
+
+        Raises:
+            ValueError: if gaits are of different bands.
         """
-        band = band_of(gaits[0])
+        band, *more = {band_of(gait) for gait in gaits}
+        if more:
+            raise ValueError(f"a course takes gaits of one band of frequencies, these are of {1 + len(more)}")
         walker, final = _Walker(self, 0), _Walker(replace(self, seconds=2 * self.seconds), 1)
         searches = [_Search(walker.within(band), gait, self) for gait in gaits]
         # A heat on few robots misjudges quick gaits (docs/learning.md).
@@ -138,7 +144,7 @@ def _best_of_heat(searches: Sequence[_Search]) -> _Search:
 
 
 def _best_given(searches: Sequence[_Search]) -> _Search:
-    """The one about the gait that does best on all robots."""
+    """The one about the gait that does best on all robots; each is tried alone, so that all meet the same pushes."""
     return max(searches, key=lambda search: search.walker.trials([search.given])[0].score)
 
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from mfg.lighting import TILE
 from mfg.render import render, save_png
 from mfg.shape import Shape
-from sim.model import Model, body_length, poses, surfaces
+from sim.model import Model
 from sim.rollout import CONTROL_PERIOD, Rollouts
+from sim.surfaces import body_length, poses, surfaces
 from sim.terrain import ground_at, is_level
 
 Image = NDArray[np.uint8]

@@ -23,6 +23,7 @@ DOORS: dict[str, set[str]] = {
     "trimesh": {"mfg/export.py", "experiments/foreign_check.py"},
     "mujoco": {
         "sim/model.py",
+        "sim/surfaces.py",
         "sim/skin.py",
         "sim/self_collision.py",
         "sim/rollout.py",

@@ -15,10 +15,11 @@ from experiments.policy_config import Policy
 from experiments.policy_start import Impossible, _judged, best_start, candidates, gaits, sturdier, told
 from sim.gaits import BANDS, band_of
 from sim.herd import with_latency_room
-from sim.model import body_length, load_spec
+from sim.model import load_spec
 from sim.race import Runner
 from sim.rollout import Diverged
 from sim.sturdy import Trial
+from sim.surfaces import body_length
 from sim.verdict import Verdict
 
 TRIPOD = Path(cli.__file__).parent / "examples" / "tripod.vox"

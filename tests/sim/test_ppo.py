@@ -16,7 +16,7 @@ from sim.environment import Environment
 from sim.herd import with_latency_room
 from sim.learning import Learner
 from sim.model import make_spec
-from sim.ppo import USUAL, ActorCritic, LeanPPO
+from sim.ppo import USUAL, ActorCritic, LeanPPO, Ppo
 
 BRIEF = replace(USUAL, copies=8, horizon=24, minibatch=64, epochs=2)
 
@@ -26,23 +26,29 @@ def model(quadruped: Description) -> Any:
     return with_latency_room(make_spec(quadruped))
 
 
-def _learned(model: Any, settings: Any = BRIEF) -> dict[str, Any]:
+def _learned(model: Any, settings: Ppo) -> dict[str, Any]:
     learner = Learner(Environment(model, settings.copies), settings, 3)
     learner.learn(2 * settings.update, np.random.default_rng(1), 1e-3, 0.5)
     return learner.state()
 
 
-def test_the_policy_comes_out_as_by_the_library_alone(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    lean = _learned(model)
+@pytest.mark.parametrize("clip", [0.2, 0.01])
+def test_the_policy_comes_out_as_by_the_library_alone(model: Any, monkeypatch: pytest.MonkeyPatch, clip: float) -> None:
+    lean = _learned(model, replace(BRIEF, clip=clip))
+    unlimited = _learned(model, replace(BRIEF, clip=10.0))
+    assert any((unlimited[name] != value).any() for name, value in lean.items())  # the limit was met
     for name in ("forward", "evaluate_actions"):
         monkeypatch.setattr(ActorCritic, name, getattr(ActorCriticPolicy, name))
     monkeypatch.setattr(LeanPPO, "train", PPO.train)
-    plain = _learned(model)
+    plain = _learned(model, replace(BRIEF, clip=clip))
     assert lean.keys() == plain.keys()
     for name, value in plain.items():
         np.testing.assert_array_equal(lean[name], value, err_msg=name)
-    other = _learned(model, replace(BRIEF, clip=0.01))
-    assert any((other[name] != value).any() for name, value in plain.items())
+
+
+def test_no_minibatch_is_a_single_sample() -> None:
+    with pytest.raises(ValueError, match="minibatches of 32 samples leave a single one of the 33 of an update"):
+        Ppo(copies=3, horizon=11, minibatch=32)
 
 
 def test_a_deterministic_policy_says_its_mean(model: Any) -> None:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from mfg.description import Description
 from sim.actor import Gait, smooth_step
-from sim.model import Model, body_length, compile_model
+from sim.model import Model, compile_model
 from sim.rollout import (
     CONTROL_PERIOD,
     FALL_TILT,
@@ -24,6 +24,7 @@ from sim.rollout import (
     settle,
     simulate,
 )
+from sim.surfaces import body_length
 
 PERIOD = np.arange(501) * CONTROL_PERIOD
 

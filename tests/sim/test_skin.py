@@ -16,7 +16,7 @@ from mfg.hulls import thinned
 from mfg.parts import PAPER
 from mfg.robot_files import CONTACT_TIME, mesh_files, mjcf
 from sim.actor import Gait
-from sim.model import ModelError, body_length, compile_model, drive_of, load_model, make_spec
+from sim.model import ModelError, compile_model, drive_of, load_model, make_spec
 from sim.rollout import roll_out, settle
 from sim.skin import Fidelity, block_compliance, block_stiffness, skin_name
 from sim.skin_law import (
@@ -28,6 +28,7 @@ from sim.skin_law import (
     pad_stiffness,
     skin_mass,
 )
+from sim.surfaces import body_length
 
 THICKNESS = 0.025
 BLOCKS = (Fidelity.FLEX, Fidelity.FLEX_FINE)

@@ -43,17 +43,17 @@ def found(course: Course) -> tuple[Trial, ...]:
     return course([GAIT])
 
 
-def _asked(monkeypatch: pytest.MonkeyPatch, score: Callable[[Gait], float]) -> list[tuple[str, float]]:
-    """What a course asks of its robots from now on, and the mean frequency of the gaits [Hz].
+def _asked(monkeypatch: pytest.MonkeyPatch, score: Callable[[Gait], float]) -> list[tuple[str, int, float]]:
+    """What a course asks of its robots from now on, for how many gaits, and the mean of their frequencies [Hz].
 
     Scores are given; searches stay near where they begin.
     """
-    asked: list[tuple[str, float]] = []
+    asked: list[tuple[str, int, float]] = []
 
     def tried(name: str) -> Any:
         def some(self: Any, points: Any) -> list[Trial]:
             gaits = [decode(self.drive, point, self.band) for point in points]
-            asked.append((name, float(np.mean([gait.frequency for gait in gaits]))))
+            asked.append((name, len(gaits), float(np.mean([gait.frequency for gait in gaits]))))
             return [Trial(gait, 0.0, score(gait), 0.0) for gait in gaits]
 
         return some
@@ -199,9 +199,9 @@ def test_of_slow_gaits_the_search_that_comes_farthest_goes_on(course: Course, mo
     slow = [replace(GAIT, frequency=frequency) for frequency in (0.8, 1.2, 1.6)]
     asked = _asked(monkeypatch, lambda gait: -abs(gait.frequency - 1.2))
     replace(course, generations=12)(slow)
-    assert [name for name, _ in asked] == ["brief"] * 6 + ["brief"] * 3 + ["halved"] * 7 + ["trials"]
-    assert [round(frequency, 1) for _, frequency in asked[:6]] == [0.8, 0.8, 1.2, 1.2, 1.6, 1.6]
-    assert all(1.0 < frequency < 1.4 for _, frequency in asked[6:])
+    assert [name for name, *_ in asked] == ["brief"] * 6 + ["brief"] * 3 + ["halved"] * 7 + ["trials"]
+    assert [round(frequency, 1) for *_, frequency in asked[:6]] == [0.8, 0.8, 1.2, 1.2, 1.6, 1.6]
+    assert all(1.0 < frequency < 1.4 for *_, frequency in asked[6:])
 
 
 def test_of_quick_gaits_the_best_on_all_robots_is_searched_about(
@@ -210,16 +210,20 @@ def test_of_quick_gaits_the_best_on_all_robots_is_searched_about(
     quick = [replace(GAIT, frequency=frequency) for frequency in (3.0, 4.0, 5.0)]
     asked = _asked(monkeypatch, lambda gait: -abs(gait.frequency - 4.0))
     replace(course, generations=12)(quick)
-    assert [name for name, _ in asked] == ["trials"] * 3 + ["brief"] * 5 + ["halved"] * 7 + ["trials"]
-    assert [round(frequency, 1) for _, frequency in asked[:3]] == [3.0, 4.0, 5.0]
-    assert all(3.5 < frequency < 4.5 for _, frequency in asked[3:])
+    assert [name for name, *_ in asked] == ["trials"] * 3 + ["brief"] * 5 + ["halved"] * 7 + ["trials"]
+    assert [round(frequency, 1) for *_, frequency in asked[:3]] == [3.0, 4.0, 5.0]
+    assert all(3.5 < frequency < 4.5 for *_, frequency in asked[3:])
 
 
 def test_a_search_is_brief_before_it_is_whole(course: Course, monkeypatch: pytest.MonkeyPatch) -> None:
     scores = itertools.count()
     asked = _asked(monkeypatch, lambda _: next(scores))
     best, second = replace(course, generations=5)([GAIT])
-    assert [name for name, _ in asked] == ["brief"] * 2 + ["halved"] * 3 + ["trials"]
-    assert (
-        next(scores) - best.score == best.score - second.score == 1
-    )  # of five finalists: what was given, three generations' best, the mean
+    assert [name for name, *_ in asked] == ["brief"] * 2 + ["halved"] * 3 + ["trials"]
+    assert asked[-1][1] == 5  # what was given, three generations' best, the mean
+    assert next(scores) - best.score == best.score - second.score == 1
+
+
+def test_a_course_takes_gaits_of_one_band(course: Course) -> None:
+    with pytest.raises(ValueError, match="one band of frequencies, these are of 2"):
+        course([GAIT, replace(GAIT, frequency=3.0)])

@@ -15,8 +15,9 @@ from experiments.simulate import TERRAINS
 from mfg.description import Description
 from mfg.robot_files import mesh_files, mjcf
 from sim.actor import Gait
-from sim.model import FLOOR, Model, body_length, compile_model, load_spec, make_spec
+from sim.model import FLOOR, Model, compile_model, load_spec, make_spec
 from sim.rollout import measure, roll_out, settle
+from sim.surfaces import body_length
 from sim.terrain import BLEND, CELL, EXTENT, FLIGHT, START, Kind, Terrain, ground_at, height_at, is_level, lay, samples
 from sim.video import strip
 
