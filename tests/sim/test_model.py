@@ -16,13 +16,13 @@ from mfg.robot_files import mesh_files, mjcf
 from sim.model import (
     CONTACT_TIME,
     ModelError,
-    body_length,
     compile_model,
     drive_of,
     load_model,
     model_name,
     quantised,
 )
+from sim.surfaces import body_length
 
 
 def test_every_link_keeps_its_mass_centre_and_inertia(quadruped: Description) -> None:
