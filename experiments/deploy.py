@@ -16,7 +16,7 @@ from experiments.output import DONE, INFEASIBLE, BadInput, emit, progress, say
 if TYPE_CHECKING:
     from hardware.bundle import Bundle
     from hardware.bus import Clock, Port
-    from hardware.robot import Tick
+    from hardware.tick import Tick
     from hardware.virtual import VirtualMotors
     from mfg.description import Description
     from sim.actor import Policy
@@ -253,7 +253,8 @@ def _run(bundle: Bundle, seconds: float, log: Path | None, line: _Line) -> dict[
     from hardware.bus import MotorBus
     from hardware.control import Interrupted, drive
     from hardware.log import Journal
-    from hardware.robot import Robot, Schedule, State
+    from hardware.robot import Robot
+    from hardware.tick import Schedule, State
 
     schedule = Schedule(policy=seconds)
     length = schedule.passive + schedule.ramp + schedule.hold + schedule.policy + schedule.damping

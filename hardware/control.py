@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from hardware.bus import Clock
 from hardware.log import Journal
-from hardware.robot import Imu, Robot, State, Tick
+from hardware.robot import Robot
 from hardware.safety import Trip
+from hardware.tick import Imu, State, Tick
 
 GREATEST_LAG = 15  # that `follow` looks for [periods]
 

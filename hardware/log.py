@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from hardware import j60
 from hardware.bundle import Bundle, BundleError, bundle_document, parse_bundle
 from hardware.bus import Clock, Frame, MotorBus, Port
-from hardware.robot import Imu, Robot, Schedule, Tick
+from hardware.robot import Robot
 from hardware.safety import Limits
+from hardware.tick import Imu, Schedule, Tick
 
 LOG_VERSION = 1
 CHANNEL = "can0"

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import StrEnum
 from types import TracebackType
 from typing import Self
 
@@ -19,63 +17,19 @@ from numpy.typing import NDArray
 
 from hardware import j60, safety
 from hardware.bundle import Bundle, BundleError
-from hardware.bus import Clock, MotorBus, MotorFault
+from hardware.bus import Clock, MotorBus
 from hardware.home import check_pose, measure_pose
 from hardware.j60 import Code, Command, Reply
+from hardware.power import disable, wake
 from hardware.safety import DEFAULT_LIMITS, Limits, Sample, Trip
+from hardware.tick import DEFAULT_SCHEDULE, Imu, Schedule, State, Tick
 from sim.actor import Gait, Perceptron, low_pass, smooth_step
 from sim.observation import in_link_axes
 
 Array = NDArray[np.float64]
-Imu = tuple[Array, Array]  # gravity's direction (3,), angular velocity (3,) [rad/s], in the IMU frame
 
 SILENT_PERIODS = 5  # after so many without a command, a motor stops itself
 STATUS_TIMEOUT = 0.003  # of the status word that is read in passing, as in the vendor's driver [s]
-
-
-class State(StrEnum):
-    """Where the robot is on its one-way road."""
-
-    PASSIVE = "passive"
-    ENABLE = "enable"
-    RAMP = "ramp"
-    HOLD = "hold"
-    POLICY = "policy"
-    DAMPING = "damping"
-    OFF = "off"
-
-
-@dataclass(frozen=True, slots=True)
-class Schedule:
-    """How long each state lasts [s]."""
-
-    policy: float = 10.0
-    passive: float = 0.1
-    ramp: float = 2.0  # at least; longer if a joint has far to go
-    ramp_speed: float = 1.0  # no joint is asked to be faster on the ramp [rad/s]
-    hold: float = 0.5
-    blend: float = 0.5  # within which the policy takes over from the hold pose
-    damping: float = 1.0
-    damping_gain: float = 2.0  # kd while braking, on the wire's grid [N.m.s/rad]
-
-
-DEFAULT_SCHEDULE = Schedule()
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Tick:
-    """What one period did; joint vectors are (n,), NaN where nothing was measured yet."""
-
-    index: int
-    state: State
-    target: Array  # what was commanded, within the joint's range [rad]
-    previous_target: Array  # what was in force until now, to compare `position` with [rad]
-    position: Array  # [rad]
-    velocity: Array  # [rad/s]
-    torque: Array  # [N.m]
-    temperature: Array  # [C]
-    imu: Imu | None
-    trip: Trip | None
 
 
 class Robot:
@@ -147,16 +101,7 @@ class Robot:
             PoseError: A joint measures outside its range by more than the guards' margin.
         """
         timeout = min(255, max(20, round(SILENT_PERIODS * self.bundle.dt * 1e3)))
-        for motor in self._ids:
-            if j60.decode_faults(self._bus.request(motor, Code.STATUS_WORD)):
-                self._bus.order(motor, Code.ERROR_RESET)
-                faults = j60.decode_faults(self._bus.request(motor, Code.STATUS_WORD))
-                if faults:
-                    raise MotorFault(f"Motor {motor} reports {faults!r} and does not clear it; see to the cause.")
-            self._bus.order(motor, Code.SET_CAN_TIMEOUT, j60.encode_setting(Code.SET_CAN_TIMEOUT, timeout))
-            kept = j60.decode_config(self._bus.request(motor, Code.CONFIG)).can_timeout
-            if kept != timeout:
-                raise MotorFault(f"Motor {motor} keeps a CAN timeout of {kept} ms, told {timeout} ms; do not run it.")
+        wake(self._bus, self._ids, timeout)
         check_pose(measure_pose(self._bus, self.bundle), self.bundle, self.limits.position_margin)
 
     def tick(self, index: int, imu: Imu | None, overruns: int) -> Tick:
@@ -351,14 +296,8 @@ class Robot:
         return safety.angle_between(imu[0], self._upright)
 
     def _switch_off(self) -> None:
-        """Overwrite the command that the motors remember, then disable them one by one, each whatever the others do."""
+        """Overwrite the command that the motors remember, then disable them."""
         self.state = State.OFF
         with contextlib.suppress(OSError):
             self._bus.sweep(self._commands(), self.bundle.dt / 2)
-        unconfirmed = []
-        for motor in self._ids:
-            try:
-                self._bus.order(motor, Code.DISABLE)
-            except OSError:
-                unconfirmed.append(motor)
-        self.unconfirmed = tuple(unconfirmed)
+        self.unconfirmed = disable(self._bus, self._ids)

@@ -18,7 +18,8 @@ from experiments.deploy import _stop_on_signals, bundle_of, dry_run
 from hardware.bundle import BundleError, load_bundle, save_bundle
 from hardware.j60 import Code, decode_command, decode_reply, split_id
 from hardware.log import read_log, states_path
-from hardware.robot import Robot, State
+from hardware.robot import Robot
+from hardware.tick import State
 from mfg.description import Description, describe
 from mfg.export import write_blueprint
 from mfg.manifest import read_description

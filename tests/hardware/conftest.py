@@ -10,8 +10,9 @@ from hardware.bundle import Bundle, JointSetup
 from hardware.bus import CanPort, MotorBus, Port, open_virtual_pair
 from hardware.j60 import quantise_gains
 from hardware.log import Journal
-from hardware.robot import Robot, Schedule
+from hardware.robot import Robot
 from hardware.safety import DEFAULT_LIMITS, Limits
+from hardware.tick import Schedule
 from hardware.virtual import Imperfection, LockStepPort, VirtualMotors
 from sim.actor import Gait
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hardware.control import drive, follow
-from hardware.robot import Schedule, State, Tick
+from hardware.tick import Schedule, State, Tick
 
 Make = Callable[..., Any]
 

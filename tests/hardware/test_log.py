@@ -12,7 +12,7 @@ from hardware import j60
 from hardware.bundle import Bundle
 from hardware.control import drive
 from hardware.log import LogError, play_back, read_log, states_path
-from hardware.robot import Tick
+from hardware.tick import Tick
 from hardware.virtual import Imperfection
 from sim.actor import Gait
 

@@ -14,7 +14,7 @@ from policies import action_map, holding, oscillator, perceptron
 from hardware.bundle import Bundle, load_bundle, save_bundle
 from hardware.control import drive
 from hardware.log import play_back, read_log
-from hardware.robot import Schedule, State, Tick
+from hardware.tick import Schedule, State, Tick
 from sim.actor import Policy
 
 Make = Callable[..., Any]

@@ -10,7 +10,7 @@ from hardware.bundle import Bundle, BundleError
 from hardware.bus import BusUnavailable, Frame, MotorFault, MotorSilent
 from hardware.control import drive
 from hardware.j60 import Code
-from hardware.robot import Schedule, State, Tick
+from hardware.tick import Schedule, State, Tick
 from hardware.virtual import Imperfection
 from sim.actor import smooth_step
 from sim.observation import ObservationLayout
