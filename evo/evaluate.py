@@ -46,8 +46,8 @@ class Learning:
             return found.score
         from sim.herd import with_latency_room
         from sim.model import make_spec
+        from sim.plan import Training
         from sim.race import speed, starts
-        from sim.training import Training
 
         model = with_latency_room(make_spec(description))
         training = Training(int(rng.integers(2**31)), self.steps, self.steps)

@@ -125,7 +125,8 @@ def fresh(model: Model, seed: int, nthread: int = 1, settings: Any = None) -> tu
     """Environment and learner of a free start at rest with heading 0; the learner has made one update to warm up."""
     from sim.learning import Learner
     from sim.model import default_pose
-    from sim.training import Start, Training, environment_of
+    from sim.plan import Training
+    from sim.training import Start, environment_of
 
     plan = Training(seed, ppo=_settings() if settings is None else settings)
     made = environment_of(model, plan, Start(0.0, default_pose(model)), nthread)
@@ -231,6 +232,6 @@ def _learn(learner: Learner, steps: int, rng: np.random.Generator) -> float:
 
 
 def _settings() -> Any:
-    from sim.ppo import USUAL
+    from sim.plan import USUAL
 
     return USUAL

@@ -60,9 +60,10 @@ class Ladder:
         from sim.gaits import SCREENING, THOROUGH, search_gait
         from sim.herd import with_latency_room
         from sim.model import make_spec
+        from sim.plan import Training
         from sim.race import speed, starts
         from sim.surfaces import body_length
-        from sim.training import Trainer, Training
+        from sim.training import Trainer
 
         design = make_decoder(self.decoder).decode(latent[None])[0]
         built = pipeline.build(design, rules=self.rules)

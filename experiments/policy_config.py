@@ -10,7 +10,7 @@ from experiments.output import DEFAULT_SOLVER, SEED_BOUND, Solvers
 
 if TYPE_CHECKING:
     from sim.model import Model
-    from sim.training import Training
+    from sim.plan import Training
 
 
 RATE = 7e-4  # of learning; short trainings walk sooner by the usual one, long ones were measured by this one
@@ -72,11 +72,10 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
         from dataclasses import replace
 
         from sim.environment import TEN_SECONDS
-        from sim.ppo import USUAL
+        from sim.plan import USUAL, Training
         from sim.randomisation import WIDE
         from sim.surfaces import body_length
         from sim.tasks import STEADY, Goal
-        from sim.training import Training
 
         task = replace(STEADY, goal=Goal(self.task), target_speed=self.pace * body_length(model))
         training = Training(

@@ -13,7 +13,8 @@ from sim.actor import Perceptron
 from sim.environment import Environment
 from sim.mixture import Mixture
 from sim.observation import normaliser
-from sim.ppo import Ppo, Vector, ppo_on
+from sim.plan import Ppo
+from sim.ppo import Vector, ppo_on
 
 Array = NDArray[np.float64]
 

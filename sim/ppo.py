@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,53 +19,10 @@ from sim.environment import Environment
 from sim.gym_env import spaces_of
 from sim.mixture import Mixture
 from sim.observation import normaliser
+from sim.plan import Ppo
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
-class Ppo:
-    """Settings of the learner.
-
-    Attributes:
-        copies: robots that gather experience together.
-        horizon: control periods between two updates.
-        epochs: passes over the experience of one update.
-        minibatch: samples of one gradient step.
-        learning_rate: of Adam.
-        gamma: discount of one control period.
-        trace: lambda of the generalised advantage.
-        clip: of the probability ratio.
-        spread: first standard deviation of what the policy says.
-        units: width of both hidden layers.
-    """
-
-    copies: int = 64
-    horizon: int = 32
-    epochs: int = 4
-    minibatch: int = 512
-    learning_rate: float = 1e-3
-    gamma: float = 0.99
-    trace: float = 0.95
-    clip: float = 0.2
-    spread: float = 0.6
-    units: int = 64
-
-    def __post_init__(self) -> None:
-        """Check that advantages can be normalised."""
-        if self.minibatch < 2 or self.update % self.minibatch == 1:
-            raise ValueError(
-                f"learner: minibatches of {self.minibatch} samples leave a single one of the {self.update} "
-                "of an update; every minibatch needs two"
-            )
-
-    @property
-    def update(self) -> int:
-        """Samples of one update."""
-        return self.copies * self.horizon
-
-
-USUAL = Ppo()
 # Weight of the critic's loss. The gradients of policy and critic are cut to one length together: at the usual 0.5 the
 # critic's, greatest where robots fall, left little of the policy's just there. Adam hardly minds its scale.
 CRITIC = 0.01

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from sim.actor import Gait
 from sim.learning import Learner, Unlearnable
 from sim.model import Model
+from sim.plan import Training
 from sim.tasks import SCALE
-from sim.training import Start, Training, environment_of, first_rate, first_spread
+from sim.training import Start, environment_of, first_rate, first_spread
 from sim.verdict import Stood, Verdict, evaluate, stood
 
 Array = NDArray[np.float64]

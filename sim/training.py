@@ -9,74 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.actor import Gait, Perceptron
-from sim.environment import REACH, TEN_SECONDS, Environment, Episode, action_map
+from sim.environment import REACH, Environment, action_map
 from sim.learning import Learner
 from sim.mixture import Mixture
 from sim.model import Model
-from sim.ppo import USUAL, Ppo
-from sim.randomisation import RANDOMISED, WIDE, Randomisation
-from sim.tasks import FAST, SCALE, Task
+from sim.plan import Training
+from sim.tasks import SCALE
 from sim.verdict import Verdict, evaluate, shared_out, stood, verdict_of
 
 Array = NDArray[np.float64]
 
 CORRECTION = 0.45  # farthest that an action of 1 goes from a rhythm [rad]
 LEARN = 0  # purpose of randomness; 1 is that of `sim.verdict`, 2 that of `sim.race`
-
-
-@dataclass(frozen=True, slots=True)
-class Training:
-    """One training.
-
-    Attributes:
-        seed: of everything.
-        steps: control periods of all copies together.
-        chunk: so many between two evaluations.
-        ppo: the learner.
-        task: what is learned; its heading is that of the start.
-        randomisation: what each episode draws; None trains on the model as it is.
-        episode: how episodes run.
-        rhythm_spread: of the first exploration about a rhythm over that of a free start.
-        rhythm_rate: of the learning rate about a rhythm over that of a free start.
-        last_spread: standard deviation of what the policy says at the end.
-        share: of the copies and of the episodes of an evaluation that have another model of the robot, if there is one.
-        claimed: what the policy is to bear: the best is chosen by that, while training may go beyond it.
-    """
-
-    seed: int = 0
-    steps: int = 800_000
-    chunk: int = 100_000
-    ppo: Ppo = USUAL
-    task: Task = FAST
-    randomisation: Randomisation | None = WIDE
-    episode: Episode = TEN_SECONDS
-    rhythm_spread: float = 2 / 3
-    rhythm_rate: float = 1.0
-    last_spread: float = 0.08
-    share: float = 0.25
-    claimed: Randomisation = RANDOMISED
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        if self.steps < 1 or self.chunk < 1:
-            raise ValueError(f"training: steps {self.steps} and chunk {self.chunk} must be 1 or more")
-        for name in ("rhythm_spread", "rhythm_rate"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"training: {name} is {getattr(self, name)}; it must lie in (0, 1]")
-        if not 0.01 <= self.last_spread <= self.ppo.spread:
-            raise ValueError(f"training: last_spread is {self.last_spread}; it must lie in [0.01, {self.ppo.spread:g}]")
-        if not 0.0 <= self.share <= 0.9:
-            raise ValueError(f"training: share is {self.share}; it must lie in [0, 0.9]")
-
-    @property
-    def chunks(self) -> int:
-        """How many."""
-        return -(-self.steps // self.chunk)
-
-    def simulated(self, chunks: int) -> int:
-        """Control periods after so many chunks: each is rounded up to whole updates of the learner."""
-        steps = [min(self.chunk, self.steps - index * self.chunk) for index in range(chunks)]
-        return sum(-(-step // self.ppo.update) * self.ppo.update for step in steps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,10 @@ from sim.actor import Actor, Perceptron
 from sim.closed_loop import roll_out_actor
 from sim.environment import Environment
 from sim.model import Model
+from sim.plan import Training
 from sim.randomisation import EXACT, WIDE, Randomisation, corners, draw, has_pads, joined
 from sim.rollout import Behaviour, measure, settle
 from sim.tasks import Goal
-
-if TYPE_CHECKING:
-    from sim.training import Training
 
 Array = NDArray[np.float64]
 

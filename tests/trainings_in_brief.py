@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sim.actor import Gait
-from sim.ppo import USUAL
-from sim.training import Start, Training
+from sim.plan import USUAL, Training
+from sim.training import Start
 
 SMALL = Training(
     seed=5, steps=192, chunk=64, ppo=replace(USUAL, copies=4, horizon=16, minibatch=32, epochs=2, units=16)

@@ -16,7 +16,8 @@ from sim.environment import Environment
 from sim.herd import with_latency_room
 from sim.learning import Learner
 from sim.model import make_spec
-from sim.ppo import USUAL, ActorCritic, LeanPPO, Ppo
+from sim.plan import USUAL, Ppo
+from sim.ppo import ActorCritic, LeanPPO
 
 BRIEF = replace(USUAL, copies=8, horizon=24, minibatch=64, epochs=2)
 
