@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.environment import Environment, Step
+from sim.plan import USUAL, Ppo, Training
 
 if TYPE_CHECKING:
     from sim.learning import Learner
@@ -81,7 +82,7 @@ def training(row: Any, processes: int, model: Model | None = None) -> Iterator[R
     found = [against_environment(model, seed) for seed in SEEDS]
     random, replayed, learning = (statistics.median(column) for column in zip(*found, strict=True))
     goal = f">= {AGAINST_ENVIRONMENT}"
-    note = f"{model.nu} joints, {_settings().copies} copies, randomised, one thread, CPU time, {len(SEEDS)} seeds"
+    note = f"{model.nu} joints, {USUAL.copies} copies, randomised, one thread, CPU time, {len(SEEDS)} seeds"
     yield row("bare environment, random actions", random, "steps/s", note=note)
     yield row("bare environment, the learner's actions", replayed, "steps/s", note="its episodes once more")
     yield row("training", learning, "steps/s", note="learning included, the same thread")
@@ -121,14 +122,13 @@ def reference() -> Model:
     return with_latency_room(make_spec(describe(score(read_design(ROBOT)).blueprint)))
 
 
-def fresh(model: Model, seed: int, nthread: int = 1, settings: Any = None) -> tuple[Watched, Learner]:
+def fresh(model: Model, seed: int, nthread: int = 1, settings: Ppo = USUAL) -> tuple[Watched, Learner]:
     """Environment and learner of a free start at rest with heading 0; the learner has made one update to warm up."""
     from sim.learning import Learner
     from sim.model import default_pose
-    from sim.plan import Training
     from sim.training import Start, environment_of
 
-    plan = Training(seed, ppo=_settings() if settings is None else settings)
+    plan = Training(seed, ppo=settings)
     made = environment_of(model, plan, Start(0.0, default_pose(model)), nthread)
     environment = Watched(**{f.name: getattr(made, f.name) for f in fields(made) if f.init})
     _learn(Learner(made, plan.ppo, seed), plan.ppo.update, np.random.default_rng(seed))  # another one, thrown away
@@ -185,8 +185,7 @@ def on_processes(model: Model, seed: int, count: int, steps: int = PROCESS_STEPS
     from sim.ppo import ppo_on
 
     torch.set_num_threads(1)
-    usual = _settings()
-    alike = replace(usual, copies=count, horizon=usual.update // count)
+    alike = replace(USUAL, copies=count, horizon=USUAL.update // count)
     vector = SubprocVecEnv([partial(_walk, model)] * count, start_method="spawn")
     try:
         ppo = ppo_on(vector, Environment(model, 1), alike, seed)
@@ -209,7 +208,7 @@ def _walk(model: Model) -> Any:
 
 
 def time_to_walk(
-    model: Model, seed: int, most: int = MOST_STEPS, speed: float = WALKS, settings: Any = None
+    model: Model, seed: int, most: int = MOST_STEPS, speed: float = WALKS, settings: Ppo = USUAL
 ) -> tuple[float, bool]:
     """CPU seconds of learning until the exploring robots walk, or until it is given up, and whether they walk."""
     environment, learner = fresh(model, seed, settings=settings)
@@ -229,9 +228,3 @@ def time_to_walk(
 def _learn(learner: Learner, steps: int, rng: np.random.Generator) -> float:
     """CPU seconds that learning takes, with settings that do not change."""
     return learner.learn(steps, rng, learner.settings.learning_rate, learner.settings.spread)[1]
-
-
-def _settings() -> Any:
-    from sim.plan import USUAL
-
-    return USUAL

@@ -7,7 +7,6 @@ robots of a course at once, and the worst of them counts as much as all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,13 +77,13 @@ class Course:
         band, *more = {band_of(gait) for gait in gaits}
         if more:
             raise ValueError(f"a course takes gaits of one band of frequencies, these are of {1 + len(more)}")
-        walker, final = _Walker(self, 0), _Walker(replace(self, seconds=2 * self.seconds), 1)
-        searches = [_Search(walker.within(band), gait, self) for gait in gaits]
+        walker, final = _Walker(self, 0, band), _Walker(replace(self, seconds=2 * self.seconds), 1, band)
+        searches = [_Search(walker, gait, self) for gait in gaits]
         # A heat on few robots misjudges quick gaits (docs/learning.md).
         best = _best_given(searches) if band == BRISK else _best_of_heat(searches)
         while best.done < self.generations:
             best.advance()
-        tried = final.within(band).trials(best.finalists())
+        tried = final.trials(best.finalists())
         return tuple(sorted(tried, key=lambda trial: -trial.score)[:LEFT])
 
 
@@ -151,10 +150,10 @@ def _best_given(searches: Sequence[_Search]) -> _Search:
 class _Walker:
     """A course with the robots settled and drawn; every gait meets the same ones, but its own pushes and noise."""
 
-    def __init__(self, course: Course, number: int) -> None:
-        """Draw the robots of the course; another number draws others."""
+    def __init__(self, course: Course, number: int, band: Band = FREQUENCY) -> None:
+        """Draw the robots of the course for gaits of a band of frequencies [Hz]; another number draws others."""
         model = course.model
-        self.course, self._number, self.band = course, number, FREQUENCY
+        self.course, self._number, self.band = course, number, band
         self.drive, self._length = drive_of(model), body_length(model)
         start, ends = settle(model), _ends(course.ranges)
         others = [(other, settle(other)) for other in course.others]
@@ -166,12 +165,6 @@ class _Walker:
         self._pushed = [(*kind, self._drawn(kind[0], *pushed)) for kind in kinds]
         self._rest = [(model, start, self._drawn(model, *ends[FEW:]))]
         self._rest += [(*other, self._drawn(other[0], *skins)) for other in others]
-
-    def within(self, band: Band) -> _Walker:
-        """The same robots for gaits of another band of frequencies [Hz]."""
-        other = copy(self)
-        other.band = band
-        return other
 
     def _rng(self, purpose: int) -> np.random.Generator:
         key = (STURDY, 1 + self._number, purpose)

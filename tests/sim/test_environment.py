@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -85,40 +86,37 @@ def assert_lags(mean: np.ndarray, value: np.ndarray, time: float) -> None:
     np.testing.assert_allclose(mean[20], share * value[20])  # of a new episode
 
 
-def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def watched(monkeypatch: pytest.MonkeyPatch, environment: Environment, look: Callable[[Any], Any]) -> Any:
+    """Two things that `look` finds in the moment, in twenty periods of an episode and the first of the next."""
     seen: list[Any] = []
 
     def terms(_: Task, moment: Any) -> dict[str, np.ndarray]:
-        seen.append((moment.velocity.copy(), moment.pace.copy()))
+        seen.append([found.copy() for found in look(moment)])
         return {"speed": np.zeros(2)}
 
     monkeypatch.setattr("sim.environment.terms", terms)
-    environment = Environment(model, 2, episode=replace(TEN_SECONDS, seconds=0.4, start_speed=0.5))
     environment.reset(np.random.default_rng(0))
     environment._age[:] = environment._born[:] = 0
     for _ in range(21):
         environment.step(np.full((2, 4), 0.5))
-    velocity, pace = np.moveaxis(seen, 1, 0)
+    return np.moveaxis(seen, 1, 0)
+
+
+def test_the_pace_is_the_mean_speed_of_the_last_stride(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = Environment(model, 2, episode=replace(TEN_SECONDS, seconds=0.4, start_speed=0.5))
+    velocity, pace = watched(monkeypatch, environment, lambda moment: (moment.velocity, moment.pace))
     assert_lags(pace, velocity, PACE_TIME)
     assert np.abs(pace).max() > 0.0
 
 
 def test_motors_warm_up_by_the_square_of_their_load(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[Any] = []
     environment = Environment(model, 2, episode=replace(TEN_SECONDS, seconds=0.4))
+    herd = environment.herd
 
-    def terms(_: Task, moment: Any) -> dict[str, np.ndarray]:
-        seen.append(
-            (np.square(environment.herd.torques / environment.herd.drive.continuous_torque), moment.heat.copy())
-        )
-        return {"speed": np.zeros(2)}
+    def look(moment: Any) -> Any:
+        return np.square(herd.torques / herd.drive.continuous_torque), moment.heat
 
-    monkeypatch.setattr("sim.environment.terms", terms)
-    environment.reset(np.random.default_rng(0))
-    environment._age[:] = environment._born[:] = 0
-    for _ in range(21):
-        environment.step(np.full((2, 4), 0.5))
-    load, heat = np.moveaxis(seen, 1, 0)
+    load, heat = watched(monkeypatch, environment, look)
     assert_lags(heat, load, HEAT_TIME)
     assert heat.min() >= 0.0
     assert heat.max() > 0.0
